@@ -203,8 +203,8 @@ def _loops(last: CampaignStep, runs: Sequence[MadeRun]) -> _Part:
         errors.append(ErrorSums.of(np.concatenate(forces), measured))
         for place, (window, predicted) in enumerate(zip(windows, forces, strict=True)):
             velocity = window.motion.velocity
-            every = max(velocity.size // 400, 1)
-            axis.plot(velocity[::every], 1e-3 * window.force[::every], ".", color=GREY, ms=1.5)
+            few = window.thinned(400)
+            axis.plot(few.motion.velocity, 1e-3 * few.force, ".", color=GREY, ms=1.5)
             cycle = slice(0, min(round(1.0 / (run.frequency * window.period)) + 1, velocity.size))
             axis.plot(
                 velocity[cycle],

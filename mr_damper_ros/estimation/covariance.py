@@ -252,6 +252,52 @@ _CYCLE_PARTS = 8
 """Number of parts of a cycle with independent model errors."""
 
 
+_PER_PHASE = 20
+"""Samples of a phase in many cycles, if the samples of a single cycle would give fewer phases."""
+
+
+@dataclass(frozen=True, eq=False)
+class CyclePhases:
+    """The phases of the samples of a steady motion.
+
+    ``numbers`` (n,): the phase of each sample, one of ``count`` equal parts of the cycle; ``rest``:
+    number of phases by which the samples exceed whole cycles.
+    """
+
+    numbers: np.ndarray
+    count: int
+    rest: int
+
+    @classmethod
+    def of(cls, window: Window, most: float = math.inf) -> CyclePhases | None:
+        """The phases of a window; None if it has no cycles."""
+        sine = window.motion.sine
+        if not (window.steady and sine is not None and window.period > 0.0):
+            return None
+        places = window.places if window.places is not None else np.arange(window.sample_count)
+        return cls.at((places - places[0]) * (window.period * sine.frequency), most)
+
+    @classmethod
+    def at(cls, cycles: Array, most: float = math.inf) -> CyclePhases:
+        """The phases, ``most`` at most, of samples at increasing times (n,) in cycles, from 0 on.
+
+        A phase holds one sample of each cycle. If these are few, it holds samples of more cycles.
+        """
+        n = cycles.size
+        length = float(cycles[-1]) * n / max(n - 1, 1)
+        count = max(round(min(max(n / max(length, 1.0), n / _PER_PHASE), most)), 1)
+        numbers = np.floor(cycles % 1.0 * count).astype(int) % count
+        return cls(numbers, count, round(length % 1.0 * count) % count)
+
+    def differences(self, values: Array) -> Array:
+        """Differences (m,) of values (n,) from the one before in the same phase, in time order."""
+        order = np.argsort(self.numbers, kind="stable")
+        same = np.diff(self.numbers[order]) == 0
+        later, earlier = order[1:][same], order[:-1][same]
+        in_time = np.argsort(later)
+        return np.asarray(values[later[in_time]] - values[earlier[in_time]])
+
+
 class ErrorCovariances(NamedTuple):
     """Covariances (f, f) of the unknowns of a fit, by kind of error; NaN: undetermined."""
 
@@ -259,37 +305,25 @@ class ErrorCovariances(NamedTuple):
     discrepancy: Array
 
 
-def samples_per_cycle(window: Window) -> float:
-    """Samples per cycle of a window; NaN if it has no cycles or is not sampled uniformly."""
-    if not (window.steady and window.motion.sine is not None and window.period > 0.0):
-        return math.nan
-    places = window.places if window.places is not None else np.arange(window.sample_count)
-    steps = np.diff(places)
-    if steps.size == 0 or not np.all(steps == steps[0]):
-        return math.nan
-    return 1.0 / (window.motion.sine.frequency * window.period * float(steps[0]))
-
-
 def error_covariances(
-    jacobian: Array, residual: Array, cycle: float = math.nan
+    jacobian: Array, residual: Array, phases: CyclePhases | None = None
 ) -> ErrorCovariances:
     """Covariances of least-squares unknowns from the Jacobian (n, f) and residual (n,) of samples.
 
-    The samples are uniform. ``cycle`` is the number of samples per cycle of a steady motion, NaN
-    for any other motion.
+    The samples are in the order of time. ``phases``: their phases in a steady motion, None for any
+    other motion.
     """
     bread = normal_inverse(jacobian)
     count, unknowns = jacobian.shape
-    length = round(cycle) if math.isfinite(cycle) else 0
     freedom = count / max(count - unknowns, 1)
-    if 8 <= length < count / (1.0 + _SECOND_CYCLE):
-        apart = (residual[length:] - residual[:-length]) / math.sqrt(2.0)
-        noise = NoiseModel.of(apart, min(_HIGHEST_ORDER, length // _CYCLE_PARTS))
+    if phases is not None and 8 <= phases.count < count / (1.0 + _SECOND_CYCLE):
+        apart = phases.differences(residual) / math.sqrt(2.0)
+        noise = NoiseModel.of(apart, min(_HIGHEST_ORDER, phases.count // _CYCLE_PARTS))
         power = float(residual @ residual) / count * freedom
         chance = math.sqrt(2.0 * max(noise.integrated_time, 1.0) / apart.size)
         if power > noise.variance * (1.0 + SIGNIFICANT * chance):
             by_noise = noise.score_covariance(jacobian)
-            by_phase, by_misfit = _model_error_scores(jacobian, residual, cycle)
+            by_phase, by_misfit = _model_error_scores(jacobian, residual, phases)
             return ErrorCovariances(
                 _sandwich(bread, by_noise + by_phase), _sandwich(bread, by_misfit)
             )
@@ -298,26 +332,26 @@ def error_covariances(
     # The fit absorbs more of correlated noise than of white noise (unknowns / samples).
     taken = float(np.nansum(bread * scores)) / max(count * noise.variance, 1e-300)
     all_of_it = _sandwich(bread, scores) / max(1.0 - taken, _MOST_ABSORBED)
-    steady = math.isfinite(cycle)
+    steady = phases is not None
     return ErrorCovariances(all_of_it, np.zeros_like(all_of_it) if steady else all_of_it)
 
 
-def _model_error_scores(jacobian: Array, residual: Array, cycle: float) -> tuple[Array, Array]:
+def _model_error_scores(
+    jacobian: Array, residual: Array, phases: CyclePhases
+) -> tuple[Array, Array]:
     """Covariances (f, f) of the scores from a model error that repeats in every cycle.
 
     The first comes from incomplete cycles if the window begins at any phase, the second from the
     model error itself.
     """
-    count, length = residual.size, round(cycle)
-    phases = np.floor(np.arange(count) % cycle).astype(int) % length
-    seen = np.maximum(np.bincount(phases, minlength=length), 1).astype(float)
-    misfit = np.bincount(phases, residual, length) / seen
+    length, rest, numbers = phases.count, phases.rest, phases.numbers
+    seen = np.maximum(np.bincount(numbers, minlength=length), 1).astype(float)
+    misfit = np.bincount(numbers, residual, length) / seen
     over_cycle: Array = np.zeros((length, jacobian.shape[1]))
-    np.add.at(over_cycle, phases, jacobian * misfit[phases, np.newaxis])
+    np.add.at(over_cycle, numbers, jacobian * misfit[numbers, np.newaxis])
     edges = np.linspace(0, length, _CYCLE_PARTS, endpoint=False).astype(int)
     draws = np.add.reduceat(over_cycle, edges, axis=0)
     one_each = over_cycle / seen[:, np.newaxis]
-    rest = round(count % cycle) % length
     sums = np.cumsum(np.vstack((one_each, one_each)), axis=0)
     moving = sums[rest : rest + length] - sums[:length]
     moving = moving - moving.mean(axis=0)

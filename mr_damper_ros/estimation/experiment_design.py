@@ -30,8 +30,8 @@ import numpy as np
 from mr_damper_ros.estimation.covariance import (
     SAME_MOTION,
     SIGNIFICANT,
+    CyclePhases,
     noise_level,
-    samples_per_cycle,
 )
 from mr_damper_ros.estimation.global_fit import with_linear_refitted
 from mr_damper_ros.estimation.local_search import LocalSearch, Posterior, Prior
@@ -533,10 +533,10 @@ def model_error(model: Model, window: Window, parameters: Array) -> float:
     otherwise count as more accurate than it is.
     """
     residual = model.window_force(window, parameters) - window.force
-    count, cycle = residual.size, samples_per_cycle(window)
-    if math.isfinite(cycle):
-        bins = max(min(2 * PHASES, count // _FEWEST_IN_PART, int(cycle)), 1)
-        places = np.floor((np.arange(count) % cycle) * (bins / cycle)).astype(int) % bins
+    count = residual.size
+    phases = CyclePhases.of(window, most=min(2 * PHASES, count // _FEWEST_IN_PART))
+    if phases is not None:
+        places = phases.numbers
     else:
         cycle = 1.0 / max(LoopReading.of(window).frequency * window.period, 1e-12)
         places = np.arange(count) // max(round(cycle / (2 * PHASES)), _FEWEST_IN_PART)
@@ -610,8 +610,7 @@ def _window(piece: _Piece) -> Window:
     nothing = np.zeros(u.size)
     moved = Motion(u, v, a, np.abs(v), sine=None)
     whole = with_motion_before(Window(moved, nothing, nothing + current, period))
-    begin = part * size + stride // 2
-    return whole.part(slice(begin, begin + size, stride))
+    return whole.part(slice(part * size, (part + 1) * size)).thinned(PHASES)
 
 
 class CandidateRuns:

@@ -18,15 +18,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import compress
+from typing import NamedTuple
 
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import (
+    SIGNIFICANT,
+    CyclePhases,
     error_covariances,
     independent_samples,
     noise_level,
-    samples_per_cycle,
     triangular_factor,
     without_negative_variance,
 )
@@ -61,7 +64,7 @@ from mr_damper_ros.estimation.record_levels import (
 )
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.motion import DataError
-from mr_damper_ros.kinematics.window import Window, holds_cycle
+from mr_damper_ros.kinematics.window import FEWER_PER_CYCLE, Window, following_stride, holds_cycle
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import ChosenParameters, Misfit
 from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, ParameterSet
@@ -94,14 +97,36 @@ def with_linear_refitted(
 
 # -- separate fit of each window -----------------------------------------------------------------
 
-_SEARCH_SAMPLES = 8000
 FEW_SAMPLES = 250
-"""A search thins the windows to the first number of samples or steps in total, or to the second
-number per window if that is more. The last search uses all samples."""
+"""Smallest number of samples of a thinned window or piece, if it has them."""
+
+
+class ExcerptSize(NamedTuple):
+    """Size of reduced windows: ``samples`` in total, but at least ``fewest`` of each window.
+
+    For a law with memory, ``samples`` also limits the steps of all pieces.
+    """
+
+    samples: int
+    fewest: int
+
+
+_SEARCHED = ExcerptSize(8000, FEW_SAMPLES)
+"""For the search."""
+
+_FITTED = ExcerptSize(100_000, 20_000)
+"""For the last fit. More samples hardly change a set, but take longer (``thinned_nrmse_ratio``)."""
 
 _PIECE = 600
-"""Length of a piece of a window in steps, for a law with memory. A piece holds about three cycles,
-and the effect of the unknown past ends within the first."""
+"""Length of a piece of a window in steps that resolve the motion, for a law with memory. A piece
+holds about three cycles, and the effect of the unknown past ends within the first."""
+
+_MOST_PIECES = 10
+"""Largest length of a stretch in pieces. The force is computed for all of it, and in longer records
+stretches at random places represent them as well."""
+
+_SEED = 0
+"""Seed of the places of stretches and pieces."""
 
 _SEPARATE = 1e-3
 """Relative decrease of the sum of squares below which the separate fit of a window ends."""
@@ -110,27 +135,51 @@ _ONE_SIDED = 0.1
 """A window with less than this part of its samples in one direction of motion is one-sided."""
 
 
+class UnseenErrors(NamedTuple):
+    """Errors of a set over samples of a window that its fit has ``seen``, and over as many others.
+
+    ``chance``: standard deviation [N²] of the difference between the mean squares by chance, where
+    squared errors within a correlation length count as one.
+    """
+
+    seen: ErrorSums
+    unseen: ErrorSums
+    chance: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether chance does not explain the larger error of the unseen samples.
+
+        Their mean square then exceeds that of the seen ones by more than :data:`AS_GOOD` and
+        :data:`SIGNIFICANT` standard deviations.
+        """
+        allowed = AS_GOOD * self.seen.rmse**2 + SIGNIFICANT * self.chance
+        return self.unseen.rmse**2 > allowed
+
+
 class Excerpts:
-    """Reduced windows for a search: thinned, or cut into pieces for a law with memory.
+    """Reduced windows: thinned, or cut into pieces for a law with memory.
 
     Piece k is ``few[k]``; it represents ``stretches[k]``, a part of the window with index
     ``owners[k]``.
     """
 
-    def __init__(self, model: Model, windows: Sequence[Window]) -> None:
-        most = max(_SEARCH_SAMPLES // len(windows), FEW_SAMPLES)
-        count = max(_SEARCH_SAMPLES // _PIECE // len(windows), 1)
+    def __init__(self, model: Model, windows: Sequence[Window], size: ExcerptSize) -> None:
+        most = max(size.samples // len(windows), size.fewest)
+        steps = size.samples // len(windows)
+        rng = np.random.default_rng(_SEED)
         self.few: list[Window] = []
+        self._others: list[Callable[[], Window | None]] = []
         self.stretches: list[Window] = []
         owners = []
         for place, window in enumerate(windows):
-            pairs = _pieces(model, window, count)
-            fewest = max(most // len(pairs), FEW_SAMPLES)
-            for stretch, piece in pairs:
+            parts = _pieces(model, window, steps, rng)
+            fewest = max(most // len(parts), FEW_SAMPLES)
+            for stretch, piece, other in parts:
                 self.stretches.append(stretch.thinned(fewest))
-                same = piece is stretch
-                self.few.append(self.stretches[-1] if same else piece.thinned(fewest))
-            owners += [place] * len(pairs)
+                self.few.append(self.stretches[-1] if piece is stretch else piece.thinned(fewest))
+                self._others.append(partial(other.thinned if other else piece.left_out, fewest))
+            owners += [place] * len(parts)
         self.owners = np.array(owners)
         self._model = model
 
@@ -141,23 +190,62 @@ class Excerpts:
         pooled = Misfit(self._model, self.few, noise[self.owners].tolist(), known)
         return _levelled(pooled, None if levels is None else levels.of_pieces(self.owners))
 
+    def unseen_errors(self, sets: Sequence[Array]) -> list[UnseenErrors]:
+        """Errors in each window with samples that the excerpts leave out.
 
-def _pieces(model: Model, window: Window, count: int) -> list[tuple[Window, Window]]:
-    """Equal stretches of a window, each with the piece at its centre."""
-    if window.steady or not model.needs_past(window):
-        return [(window, window)]
-    history = window.history
-    length = round(_PIECE * history.coarse.period / history.period)
-    if history.current.size <= 2 * count * length:
-        return [(window, window)]
-    edges = np.linspace(0, history.current.size, count + 1).astype(int)
+        ``sets`` holds the parameters (p,) of each piece.
+        """
+        model, found = self._model, []
+        for owner in np.unique(self.owners):
+            places = np.flatnonzero(self.owners == owner).tolist()
+            seen = [(self.few[place], sets[place]) for place in places]
+            others = [(other, sets[p]) for p in places if (other := self._others[p]()) is not None]
+            if others:
+                (first, variance), (second, more) = (_errors_of(model, e) for e in (seen, others))
+                found.append(UnseenErrors(first, second, math.sqrt(variance + more)))
+        return found
+
+
+def _errors_of(model: Model, pairs: Sequence[tuple[Window, Array]]) -> tuple[ErrorSums, float]:
+    """Errors of windows with their parameters (p,), and the variance [N⁴] of the mean square."""
     found = []
+    for window, values in pairs:
+        settled = model.settled(window, values)
+        found.append((model.window_force(window, values)[settled], window.force[settled]))
+    squares = np.concatenate([(force - measured) ** 2 for force, measured in found])
+    variance = float(np.var(squares)) / independent_samples(squares)
+    return pooled(ErrorSums.of(*pair) for pair in found), variance
+
+
+def _pieces(
+    model: Model, window: Window, steps: int, rng: np.random.Generator
+) -> list[tuple[Window, Window, Window | None]]:
+    """Stretches of a window, each with a piece at a random place in it, and another piece.
+
+    The pieces have about this number of ``steps`` in total. The stretch and the piece are the
+    window itself if it is short or the law needs no past.
+    """
+    alone = window, window, None
+    if window.steady or not model.needs_past(window):
+        return [alone]
+    history = window.history
+    length = _PIECE * following_stride(history.motion, history.period, FEWER_PER_CYCLE)
+    count = max(steps * history.coarse_stride // length, 1)
+    if history.current.size <= 2 * count * length:
+        return [alone]
+    edges = np.linspace(0, history.current.size, count + 1).astype(int)
+    found: list[tuple[Window, Window, Window | None]] = []
     for begin, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        stretch = window if count == 1 else window.stretch(begin, end - begin)
-        piece = window.stretch((begin + end - length) // 2, length)
-        if piece.sample_count > 1 and np.ptp(piece.force) > 0.0:
-            found.append((stretch, piece))
-    return found or [(window, window)]
+        # In a periodic motion or current, pieces at equal distances could all be the same.
+        reach = min(end - begin, _MOST_PIECES * length)
+        begin += int(rng.integers(0, end - begin - reach + 1))
+        stretch = window if reach == history.current.size else window.stretch(begin, reach)
+        free = reach // 2 - length
+        first, second = begin + rng.integers(0, free + 1, 2) + rng.permutation([0, free + length])
+        piece, other = window.stretch(int(first), length), window.stretch(int(second), length)
+        if min(piece.sample_count, other.sample_count) > 1 and np.ptp(piece.force) > 0.0:
+            found.append((stretch, piece, other))
+    return found or [alone]
 
 
 def _levelled(pooled: Misfit, levels: LevelPrior | None) -> Misfit:
@@ -256,7 +344,7 @@ class GlobalFit:
     def misfit(self, windows: Sequence[Window]) -> Misfit:
         """The misfit that the search of the set minimised."""
         found = self.parameter_set
-        return Excerpts(found.law, windows).misfit(self.noise, self.levels, found.values)
+        return Excerpts(found.law, windows, _SEARCHED).misfit(self.noise, self.levels, found.values)
 
     def record_levels(self, windows: Sequence[Window]) -> list[Level]:
         """Gain and offset of each record, in order of its number; empty without record levels."""
@@ -359,7 +447,8 @@ class GlobalSearch:
         self._own_neutral = model.without_dependence(model.initial_values()[0], top_current)
         self.free = self._marked(varied_parameters(model, speeds, currents))
         self._ranges = parameter_ranges(model, windows)
-        self._excerpts = Excerpts(model, windows)
+        self._excerpts = Excerpts(model, windows, _SEARCHED)
+        self._fitted = Excerpts(model, windows, _FITTED)
         # Parameters that one run determines besides the coefficients (such as a compliance), and
         # the effect of a current that varies within a run, are known only after a first search.
         self._again = bool(model.common_names) or any(map(current_varies, windows))
@@ -379,10 +468,9 @@ class GlobalSearch:
     def _named(self, marked: np.ndarray) -> frozenset[str]:
         return frozenset(compress(self.model.parameter_names, marked))
 
-    def whole_misfit(self) -> Misfit:
-        """Misfit over all samples except those that still depend on the unknown past."""
-        misfit = Misfit(self.model, self.windows, self.noise.tolist(), self.best)
-        return _levelled(misfit, self.levels)
+    def last_misfit(self) -> Misfit:
+        """Misfit over the samples of the last fit, except those that depend on the unknown past."""
+        return self._fitted.misfit(self.noise, self.levels, self.best)
 
     def run(self, method: str) -> Ending:
         """Search by one of the methods of :func:`identify_global`; returns how the search ended.
@@ -570,25 +658,25 @@ class GlobalSearch:
             )
 
     def _finish(self) -> None:
-        """Reset undetermined parameters to the start, then search once with all samples."""
+        """Reset undetermined parameters to the start, then search once with many samples."""
         open_ = ~self._determined(self.pooled)
         # Holding a parameter may make others undetermined, so repeat. If the misfit does not allow
         # a parameter to be reset, the windows determine it.
         while (returned := self._reset(open_)).any():
             self.free = self.free & ~returned
             open_ = self.free & ~self._determined(self.pooled)
-        whole = self.whole_misfit()
-        self.best = self._most_probable(whole, self.best, self.free)
+        last = self.last_misfit()
+        self.best = self._most_probable(last, self.best, self.free)
         # A search only approaches an optimum on a bound.
         near, (low, high) = MARGIN * self._prior().width, self.model.bounds
         moved = np.where(self.free & (self.best - low < near), low, self.best)
         moved = np.where(self.free & (high - moved < near), high, moved)
         others = self.free & (moved == self.best)
         if np.any(moved != self.best):
-            noise, exhausted = noise_level(whole.residual(moved)), self.exhausted
-            moved = self._least_squares(whole, moved, others, noise=noise, most_steps=_BOUND_STEPS)
+            noise, exhausted = noise_level(last.residual(moved)), self.exhausted
+            moved = self._least_squares(last, moved, others, noise=noise, most_steps=_BOUND_STEPS)
             self.exhausted = exhausted  # of the search, which this only corrects
-            posterior = self._posterior(whole, self.free)
+            posterior = self._posterior(last, self.free)
             allowed = NEGLIGIBLE * posterior.noise**2
             if posterior.cost(moved) <= posterior.cost(self.best) + allowed:
                 self.best = moved
@@ -727,7 +815,7 @@ class GlobalSearch:
         free = self.free & (best != low) & (best != high)
         covariance, discrepancy = np.zeros((2, best.size, best.size))
         errors = np.full(best.size, math.nan)
-        misfit = self.whole_misfit()
+        misfit = self.last_misfit()
         if free.any():
             block = np.ix_(free, free)
             covariance[block], discrepancy[block] = self._errors(misfit, free)
@@ -735,14 +823,15 @@ class GlobalSearch:
         parameter_set = self.parameter_set(errors, np.sqrt(np.diag(discrepancy)), method)
         spread, frequency = self._spread(free)
         errors_of_set = [error_of_set(parameter_set, [window]) for window in self.windows]
+        shortcoming = self.shortcoming or self._unrepresented()
         return GlobalFit(
             parameter_set=replace(parameter_set, nrmse=pooled(errors_of_set).nrmse),
             covariance=covariance,
             discrepancy=discrepancy,
             nrmse=np.array([error.nrmse for error in errors_of_set]),
             evaluations=self.evaluations,
-            success=ending is Ending.CONVERGED and not self.shortcoming,
-            message=self.shortcoming or ending.value,
+            success=ending is Ending.CONVERGED and not shortcoming,
+            message=shortcoming or ending.value,
             noise=self.noise,
             cost=misfit.mean_square(best),
             candidates=tuple(self.candidates),
@@ -750,6 +839,26 @@ class GlobalSearch:
             levels=self.levels,
             spread=spread,
             frequency=frequency,
+        )
+
+    def _unrepresented(self) -> str:
+        """Why the samples of a fit do not represent the windows; empty if they do.
+
+        The separate fits are checked, too, because the search starts from them.
+        """
+        separate = [fit.parameters for fit in self.fits]
+        errors = [
+            *self._excerpts.unseen_errors(separate),
+            *self._fitted.unseen_errors([self.best] * len(self._fitted.few)),
+        ]
+        errors = [each for each in errors if each.significant]
+        if not errors:
+            return ""
+        worst = max(errors, key=lambda each: each.unseen.nrmse)
+        return (
+            f"the NRMSE is {worst.unseen.nrmse:.2%} on samples that the fit has not used, but "
+            f"{worst.seen.nrmse:.2%} on those that it has used: identify parts of the record "
+            "separately"
         )
 
     def parameter_set(self, errors: Array, discrepancies: Array, name: str) -> ParameterSet:
@@ -777,8 +886,8 @@ class GlobalSearch:
         """Covariance (f, f) of the ``free`` parameters, and the discrepancy in it."""
         if len(misfit.windows) == 1 and self.levels is None:
             jacobian = misfit.jacobian(self.best, np.flatnonzero(free).tolist())
-            cycle = samples_per_cycle(misfit.windows[0])
-            errors = error_covariances(jacobian, misfit.residual(self.best), cycle)
+            phases = CyclePhases.of(misfit.windows[0])
+            errors = error_covariances(jacobian, misfit.residual(self.best), phases)
             both = np.add(*map(without_negative_variance, errors))
             return both, np.full_like(both, math.nan)  # one motion shows no scatter between motions
         return self._posterior(misfit, free).covariances()

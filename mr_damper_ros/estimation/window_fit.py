@@ -22,10 +22,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import (
+    CyclePhases,
     ErrorCovariances,
     error_covariances,
     noise_level,
-    samples_per_cycle,
     white_level,
     without_negative_variance,
 )
@@ -144,7 +144,7 @@ def fit_window(
     spread = float(np.std(window.force))
     if spread == 0.0:
         raise DataError("the force does not change: there is nothing to identify")
-    cycle, effort = samples_per_cycle(window), model.effort
+    phases, effort = CyclePhases.of(window), model.effort
     weights = np.ones(window.sample_count)
     searches: list[LocalSearch[WindowProblem]] = []
     problem: WindowProblem | None = None
@@ -180,7 +180,7 @@ def fit_window(
             # Without a force of the running set, there is no prior.
             if np.isfinite(width).all():
                 unknowns, errors, exhausted = _with_prior(
-                    running, width, search, cycle, robust=robust, should_stop=should_stop
+                    running, width, search, phases, robust=robust, should_stop=should_stop
                 )
                 problem = running
         if problem is None and robust:
@@ -194,7 +194,7 @@ def fit_window(
         problem, unknowns, settled = search.problem, search.best, search.problem.settled
         root = np.sqrt(weights[settled])
         jacobian = root[:, np.newaxis] * problem.jacobian(unknowns)[settled]
-        errors = error_covariances(jacobian, root * problem.residual(unknowns)[settled], cycle)
+        errors = error_covariances(jacobian, root * problem.residual(unknowns)[settled], phases)
     return fit_of(
         problem,
         unknowns,
@@ -285,7 +285,7 @@ def _with_prior(
     running: WindowProblem,
     width: Array,
     without: LocalSearch[WindowProblem],
-    cycle: float,
+    phases: CyclePhases | None,
     *,
     robust: bool,
     should_stop: Callable[[], bool] | None,
@@ -298,7 +298,7 @@ def _with_prior(
     """
     most = contradicting(width.size)
     at_best = float(np.linalg.norm(running.residual(without.best)))
-    noise, of_samples = _noise(running, without.best, cycle)
+    noise, of_samples = _noise(running, without.best, phases)
     for _ in range(_MOST_DOUBLINGS):
         posterior = Posterior(running, Prior(running.start, width), noise, 1.0)
         search = LocalSearch(posterior, without.best, should_stop)
@@ -320,15 +320,17 @@ def _with_prior(
     return search.best, errors, search.exhausted
 
 
-def _noise(problem: WindowProblem, unknowns: Array, cycle: float) -> tuple[float, ErrorCovariances]:
+def _noise(
+    problem: WindowProblem, unknowns: Array, phases: CyclePhases | None
+) -> tuple[float, ErrorCovariances]:
     """Standard deviation [N] of white noise that gives the uncertainty of a fit to samples alone.
 
     Also returns the errors of the unknowns (f,) of this fit.
     """
     settled = problem.settled
     jacobian, left = problem.jacobian(unknowns), problem.residual(unknowns)
-    errors = error_covariances(jacobian[settled], left[settled], cycle)
-    if not math.isfinite(cycle):
+    errors = error_covariances(jacobian[settled], left[settled], phases)
+    if phases is None:
         return noise_level(left, unknowns.size), errors
     size = float(np.sqrt(np.mean(left**2)))
     level = white_level(jacobian, errors.repeatability + errors.discrepancy, size)

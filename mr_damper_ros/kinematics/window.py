@@ -16,12 +16,17 @@ from mr_damper_ros.signals.blocks import MOST_SAMPLES
 _SAMPLES_PER_CYCLE = 1000
 """Samples per cycle that resolve the steepest sigmoid, which rises within 1/180 of a cycle."""
 
-_FEWER_PER_CYCLE = 200
+FEWER_PER_CYCLE = 200
 """Samples per cycle that resolve a hysteresis, which yields over about a tenth of a cycle."""
 
 MOST_UNUSED = 0.25
 """Largest fraction of a window without information: of samples that depend on the unknown motion
 before the window, no more are omitted, and a window with a longer rest is rejected."""
+
+_COIL_PERIOD = 1e-3
+"""Sample period [s] of a history that resolves how the coil follows a step of the current. In a
+motion of 0.1 Hz with a current that switches every 0.2 s, a law with memory whose history resolves
+the motion alone has an error of 17 % of the force."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +74,16 @@ class MotionHistory:
         return earlier, later, share
 
     @cached_property
+    def coarse_stride(self) -> int:
+        """Stride of :attr:`coarse` in samples of this history."""
+        if self.periodic:
+            return self.current.size // FEWER_PER_CYCLE
+        return _history_stride(self.motion, self.current, self.period, FEWER_PER_CYCLE)
+
+    @cached_property
     def coarse(self) -> MotionHistory:
         """The same history with fewer samples, for laws that change less steeply than a sigmoid."""
-        stride = following_stride(self.motion, self.period, _FEWER_PER_CYCLE)
-        if self.periodic:
-            stride = self.current.size // _FEWER_PER_CYCLE
+        stride = self.coarse_stride
         if stride == 1:
             return self
         return replace(
@@ -127,6 +137,14 @@ def following_stride(motion: Motion, period: float, per_cycle: int = _SAMPLES_PE
     """Largest stride, in samples of a motion, that leaves at least ``per_cycle`` in a cycle."""
     samples = _mean_cycle(motion, period)
     return max(int(samples / per_cycle), 1) if math.isfinite(samples) else 1
+
+
+def _history_stride(motion: Motion, current: Array, period: float, per_cycle: int) -> int:
+    """As :func:`following_stride`, but a current (n,) [A] that varies must be followed, too."""
+    stride = following_stride(motion, period, per_cycle)
+    if float(np.ptp(current)) > 0.0:
+        stride = max(min(stride, int(_COIL_PERIOD / period)), 1)
+    return stride
 
 
 TURN = 0.05
@@ -203,8 +221,8 @@ def _cycle(sine: Sine, peak_velocity: float, count: int) -> tuple[Motion, float]
     return Motion.of_sine(sine, period * np.arange(count, dtype=float), peak_velocity), period
 
 
-_COIL_PERIOD = 1e-3
-"""Sample period [s] of a history that resolves how the coil follows a step of the current."""
+_SEED = 0
+"""Seed of the places of a thinned window."""
 
 _SPIKE_QUANTILE = 0.995
 """Fraction of the samples that is assumed free of spikes."""
@@ -261,7 +279,7 @@ class Window:
     @classmethod
     def of_sine(cls, peak_velocity: float, frequency: float, current: float) -> Window:
         """One cycle of a sine (velocity [m/s], frequency [Hz]) at a current [A], without force."""
-        sine, count = Sine(peak_velocity / (2.0 * np.pi * frequency), frequency), _FEWER_PER_CYCLE
+        sine, count = Sine(peak_velocity / (2.0 * np.pi * frequency), frequency), FEWER_PER_CYCLE
         motion, period = _cycle(sine, peak_velocity, count)
         return cls(motion, np.zeros(count), np.full(count, current), period)
 
@@ -331,17 +349,31 @@ class Window:
         return replace(self, motion=self.motion.held_within(low, high), whole=whole)
 
     def thinned(self, most: int) -> Window:
-        """The window thinned by a constant stride to fewer than twice ``most`` samples."""
-        stride = max(self.sample_count // most, 1)
-        if stride == 1:
-            return self
-        few = self.part(slice(None, None, stride))
+        """The window with one sample, drawn at random, of each of at least ``most`` equal parts.
+
+        A constant stride that is commensurate with the period of the motion would look at a few
+        phases of its cycle. A window with fewer than twice ``most`` samples is returned itself.
+        """
+        size = self.sample_count // most
+        return self if size < 2 else self._drawn(size)
+
+    def left_out(self, most: int) -> Window | None:
+        """As :meth:`thinned`, but samples that it leaves out; None if there are none."""
+        size = self.sample_count // most
+        return None if size < 2 else self._drawn(size, other=True)
+
+    def _drawn(self, size: int, *, other: bool = False) -> Window:
+        """A random sample of each part of ``size`` samples, or another sample of each part."""
+        rng = np.random.default_rng(_SEED)
+        count = self.sample_count // size
+        drawn = rng.integers(0, size, count)
+        if other:
+            drawn = (drawn + rng.integers(1, size, count)) % size
+        few = self.part(np.arange(0, count * size, size) + drawn)
         if few.whole is None or few.places is None:
             return few
         whole = few.whole
-        coarser = following_stride(whole.motion, whole.period)
-        if not whole.has_constant_current:
-            coarser = max(min(coarser, int(_COIL_PERIOD / whole.period)), 1)
+        coarser = _history_stride(whole.motion, whole.current, whole.period, _SAMPLES_PER_CYCLE)
         if coarser == 1:
             return few
         motion = whole.part(slice(None, None, coarser))

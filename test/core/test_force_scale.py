@@ -9,7 +9,7 @@ import pytest
 from known import SIGMOID
 
 from benchmarks import following
-from mr_damper_ros.estimation.covariance import NoiseModel, error_covariances
+from mr_damper_ros.estimation.covariance import CyclePhases, NoiseModel, error_covariances
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.signals.arrays import Array
@@ -111,6 +111,7 @@ def test_a_baseline_beyond_all_measure_tells_no_scale() -> None:
 # -- fit errors are of two kinds: a misfit that repeats in every cycle is not noise ----------------
 
 N, CYCLE = 2000, 800.0
+PHASES = CyclePhases.at(np.arange(N) / CYCLE)
 
 SCATTER = (0.75, 1.3)
 """Allowed ratio of standard deviations: scatter of the runs, and 20 % error of the estimate."""
@@ -134,7 +135,7 @@ def repeated(memory: float, misfit: float) -> tuple[Array, Array, Array]:
             columns @ [100.0, 10.0] + misfit * third + known.correlated_noise(N, memory, seed)
         )
         fit = np.linalg.lstsq(columns, measured, rcond=None)[0]
-        errors = error_covariances(columns, columns @ fit - measured, CYCLE)
+        errors = error_covariances(columns, columns @ fit - measured, PHASES)
         fits.append(fit)
         repeatabilities.append(np.diag(errors.repeatability))
         discrepancies.append(np.diag(errors.discrepancy))
