@@ -82,14 +82,17 @@ def parts(program: str) -> dict[str, dict[str, Any]]:
     return table[program]
 
 
-def measure(part: dict[str, Any], arguments: Sequence[Any]) -> list[Figure]:
+def measure(part: dict[str, Any], arguments: Sequence[Any], seed: int = 0) -> list[Figure]:
     """Figures of one part, measured in a separate process; raises ValueError for wrong keys.
+
+    Only a part that is ``seeded`` receives the seed.
 
     Fast DDS reads the network interfaces once per process. A process that already had a participant
     would not see the lossy link.
     """
+    named = {"seed": seed} if part.get("seeded") else {}
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
-        measured = process.submit(_measured, part["by"], tuple(arguments)).result()
+        measured = process.submit(_measured, part["by"], tuple(arguments), named).result()
     if wrong := measured.keys() ^ part["figures"].keys():
         raise ValueError(f"{part['by']} or figures.yaml lacks {', '.join(sorted(wrong))}")
     figures = []
@@ -102,7 +105,7 @@ def measure(part: dict[str, Any], arguments: Sequence[Any]) -> list[Figure]:
     return figures
 
 
-def _measured(by: str, arguments: tuple[Any, ...]) -> Measured:
+def _measured(by: str, arguments: tuple[Any, ...], named: dict[str, int]) -> Measured:
     # Leave in order when stopped or when the parent ends (prctl: PR_SET_PDEATHSIG), or the programs
     # of the part, in sessions of their own, would go on.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
@@ -110,7 +113,7 @@ def _measured(by: str, arguments: tuple[Any, ...]) -> Measured:
     keep_one_thread()
     module, _, name = by.partition(".")
     try:
-        return getattr(import_module(f"benchmarks.{module}"), name)(*arguments)
+        return getattr(import_module(f"benchmarks.{module}"), name)(*arguments, **named)
     except SystemExit:
         os._exit(1)  # the pool would wait for the next call
 
@@ -147,10 +150,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         began = time.monotonic()
         print(f"{name} ...", end=" ", file=sys.stderr, flush=True)
         given = [getattr(options, option) for option in part.get("options", ())]
+        shorter = next((kind for kind in ("quick", "third") if getattr(options, kind)), "")
         try:
-            figures += measure(part, part.get("quick", ()) if options.quick else given)
+            measured = measure(part, part.get(shorter, given), options.seed)
         except Exception as error:  # the other parts are still measured
             failed.append(f"{name} failed: {type(error).__name__}: {error}")
+        else:
+            is_third = shorter == "third" and shorter in part
+            told = "A THIRD OF THE CASES. " * is_third
+            figures += [each._replace(note=told + each.note) for each in measured]
         print(f"{time.monotonic() - began:.1f} s", file=sys.stderr, flush=True)
         write(figures, options.output)
     if options.quick:
@@ -167,9 +175,14 @@ def _parser(soak: bool, names: Sequence[str]) -> argparse.ArgumentParser:
     add("--only", nargs="+", choices=names, metavar="NAME", help=f"of {', '.join(names)}")
     add("--output", type=Path, default=output, help="file (default %(default)s)")
     if not soak:
-        add("--quick", action="store_true", help="shorter, for development: not the real figures")
+        shorter = parser.add_mutually_exclusive_group()
+        quick = "shorter, for development: not the real figures"
+        shorter.add_argument("--quick", action="store_true", help=quick)
+        third = "of parts over ten minutes, every third case, the first by the seed"
+        shorter.add_argument("--third", action="store_true", help=third)
+        add("--seed", type=int, default=0, help="of what is random in data that are not timed")
         return parser
-    parser.set_defaults(quick=False)
+    parser.set_defaults(quick=False, third=False)
     for name, (default, text) in _SOAK_OPTIONS.items():
         add(f"--{name}", type=type(default), default=default, help=f"{text} (default %(default)s)")
     return parser

@@ -56,7 +56,7 @@ def streams() -> dict[str, Callable[[], TrialResult | Replay]]:
     found: dict[str, Callable[[], TrialResult | Replay]] = {
         f"bag {path.name}": partial(replay, path) for path in bags if path.is_dir()
     }
-    for each in foreign_dampers.COMBINATIONS[::5]:
+    for each in foreign_dampers.combinations()[::5]:
         found[f"foreign {each.name}"] = each.run
     for case in following.SWITCHED:
         found[f"switched {case.name}"] = partial(following.streamed, case, _SWITCHED)

@@ -7,13 +7,12 @@ import zlib
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from itertools import product
+from itertools import product, repeat
 
 import numpy as np
 
 from benchmarks.dampers import DAMPERS
-from benchmarks.figure import Measured, in_processes
+from benchmarks.figure import Measured, in_processes, some_of
 from benchmarks.motions import chirp, random_motion, stairs, stops
 from benchmarks.streams import StreamTrial, Stretch, TrialResult, TrialSettings, at_rest, worse_sets
 from mr_damper_ros.emulation.emulator import CurrentSchedule
@@ -22,11 +21,23 @@ from mr_damper_ros.emulation.motions import Excitation, SineMotion
 from mr_damper_ros.tracking.engine import EngineSettings
 from mr_damper_ros.tracking.window_assembler import WindowSettings
 
-STREAMS: dict[str, tuple[Callable[[], Excitation], float]] = {
-    "sine": (partial(SineMotion, 0.005, 1.0), 1.5),
-    "weak": (partial(SineMotion, 0.005, 1.0), 0.2),
-    "off": (partial(SineMotion, 0.005, 1.0), 0.0),
-    "random": (partial(random_motion, 0.003, 0.2, 3.0, 60.0, seed=3), 1.0),
+Moved = Callable[[int], Excitation]
+"""A motion, made from a seed."""
+
+
+def _sine(amplitude: float, frequency: float) -> Moved:
+    return lambda _: SineMotion(amplitude, frequency)
+
+
+def _random(rms: float, low: float, high: float, duration: float, first: int) -> Moved:
+    return lambda seed: random_motion(rms, low, high, duration, first + seed)
+
+
+STREAMS: dict[str, tuple[Moved, float]] = {
+    "sine": (_sine(0.005, 1.0), 1.5),
+    "weak": (_sine(0.005, 1.0), 0.2),
+    "off": (_sine(0.005, 1.0), 0.0),
+    "random": (_random(0.003, 0.2, 3.0, 60.0, 3), 1.0),
 }
 """Operation before the fault: a motion and a constant current [A]."""
 
@@ -179,9 +190,9 @@ class Outcome:
         )
 
 
-def run(base: StreamTrial, scenario: Scenario, damper: str) -> Outcome:
+def run(base: StreamTrial, scenario: Scenario, damper: str, seed: int = 0) -> Outcome:
     """Apply the faults of a scenario to a stream that has run up to their beginning."""
-    trial = scenario.branch(base, zlib.crc32(f"{scenario.name} {damper}".encode()))
+    trial = scenario.branch(base, zlib.crc32(f"{scenario.name} {damper}".encode()) + seed)
     end = scenario.begin if scenario.lasts else scenario.end
     usual = _usual_share(base.result(), scenario.begin)
     trial.advance(end - trial.now)
@@ -240,23 +251,25 @@ def _bad_sets(result: TrialResult, since: float) -> list[str]:
     ]
 
 
-def _run_group(job: tuple[str, str, Sequence[Scenario]]) -> list[Outcome]:
+def _run_group(job: tuple[str, str, Sequence[Scenario], int]) -> list[Outcome]:
     """Scenarios that share the stream up to their beginning."""
-    damper, stream, scenarios = job
+    damper, stream, scenarios, seed = job
     motion, current = STREAMS[stream]
-    base = StreamTrial(DAMPERS[damper], motion(), current, settings=TrialSettings(block_size=20))
+    settings = TrialSettings(seed, block_size=20)
+    base = StreamTrial(DAMPERS[damper], motion(seed), current, settings=settings)
     # The rig is a few samples ahead of the samples that were processed.
     base.advance(scenarios[0].begin - 0.5)
-    return [run(base, scenario, damper) for scenario in scenarios]
+    return [run(base, scenario, damper, seed) for scenario in scenarios]
 
 
-def figures(every: int = 1, dampers: Sequence[str] = tuple(DAMPERS)) -> Measured:
+def figures(every: int = 1, dampers: Sequence[str] = tuple(DAMPERS), seed: int = 0) -> Measured:
     """Run all scenarios, or one in ``every``, with these dampers."""
     groups: dict[tuple[str, str, int], list[Scenario]] = defaultdict(list)
-    for (place, scenario), damper in product(enumerate(SCENARIOS[::every]), dampers):
+    chosen = some_of(SCENARIOS, every, seed)
+    for (place, scenario), damper in product(enumerate(chosen), dampers):
         # Splitting the largest groups makes the processes end at about the same time.
         groups[damper, scenario.stream, place % 2].append(scenario)
-    jobs = [(damper, stream, group) for (damper, stream, _), group in groups.items()]
+    jobs = [(damper, stream, group, seed) for (damper, stream, _), group in groups.items()]
     return figures_of([each for found in in_processes(_run_group, jobs) for each in found])
 
 
@@ -304,17 +317,17 @@ SPIKES = (3000, 8000, 20_000)
 _LOST = 0.3
 """Fraction of the force that remains after its loss, half a second after the last outlier."""
 
-SPIKED: dict[str, tuple[Callable[[], Excitation], float]] = {
-    "0.05 Hz": (partial(SineMotion, 0.01, 0.05), 70.0),
-    "0.5 Hz": (partial(SineMotion, 0.01, 0.5), 14.0),
-    "1 Hz": (partial(SineMotion, 0.005, 1.0), 12.0),
-    "5 Hz": (partial(SineMotion, 0.003, 5.0), 12.0),
-    "random 0.2-3 Hz": (partial(random_motion, 3e-3, 0.2, 3.0, 40.0, 5), 16.0),
+SPIKED: dict[str, tuple[Moved, float]] = {
+    "0.05 Hz": (_sine(0.01, 0.05), 70.0),
+    "0.5 Hz": (_sine(0.01, 0.5), 14.0),
+    "1 Hz": (_sine(0.005, 1.0), 12.0),
+    "5 Hz": (_sine(0.003, 5.0), 12.0),
+    "random 0.2-3 Hz": (_random(3e-3, 0.2, 3.0, 40.0, 5), 16.0),
 }
 """Motions by name, each with the time [s] of the outliers."""
 
 
-def spike_figures(names: Sequence[str] = tuple(SPIKED)) -> Measured:
+def spike_figures(names: Sequence[str] = tuple(SPIKED), seed: int = 0) -> Measured:
     """Run each size of outlier in each stream.
 
     The error of a force must be judged by the span of the measured force, which a few outliers must
@@ -323,11 +336,11 @@ def spike_figures(names: Sequence[str] = tuple(SPIKED)) -> Measured:
     found: list[tuple[Stretch, str]] = []
     for name in names:
         motion, at = SPIKED[name]
-        base = StreamTrial(DAMPERS["viscous_tanh"], motion(), 1.2)
+        base = StreamTrial(DAMPERS["viscous_tanh"], motion(seed), 1.2, settings=TrialSettings(seed))
         base.advance(at)
         for size in SPIKES:
             faults = f"force_spikes:{size}@{at:g}-{at + 1:g}", f"force_loss:{_LOST}@{at + 1.5:g}"
-            trial = base.branch(faults_of(faults, seed=size))
+            trial = base.branch(faults_of(faults, seed=size + seed))
             found.append((trial.run(12.0).wrong_valid(since=at), f"{name}, {size} N"))
     found.sort(key=lambda spoilt: -spoilt[0].longest)
     told = [f"{name}: {each.longest:.2f} s, up to {each.worst:.0%}" for each, name in found[:4]]
@@ -343,29 +356,29 @@ _TOP_SPEED, _LARGEST = 0.1, 0.01
 """Limits of the machine: velocity [m/s] and displacement [m]."""
 
 
-def _sine(frequency: float) -> tuple[Callable[[], Excitation], float, float]:
+def _steady(frequency: float) -> tuple[Moved, float, float]:
     amplitude = min(_LARGEST, _TOP_SPEED / (2.0 * np.pi * frequency))
     # Long enough to identify the slow motions and continue for some time.
-    return partial(SineMotion, amplitude, frequency), max(15.0, 4.0 / frequency), 0.0
+    return _sine(amplitude, frequency), max(15.0, 4.0 / frequency), 0.0
 
 
-PROGRAMMES: dict[str, tuple[Callable[[], Excitation], float, float]] = {
-    **{f"{f:g} Hz": _sine(f) for f in (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)},
-    "random 0.2-3 Hz": (partial(random_motion, 3e-3, 0.2, 3.0, 40.0, 5), 40.0, 0.0),
-    "random 0.5-8 Hz": (partial(random_motion, 2e-3, 0.5, 8.0, 40.0, 6), 40.0, 0.0),
-    "chirp 0.2-20 Hz": (partial(chirp, _TOP_SPEED, 5e-3, 0.2, 20.0, 48.0), 48.0, 24.0),
-    "amplitudes 5, 1, 8 mm": (partial(stairs, 5e-3, 1.0, (1.0, 0.2, 1.6) * 3, 6.0), 54.0, 18.0),
-    "stops": (lambda: stops(SineMotion(5e-3, 1.0), 8.0, 4.0, 3), 36.0, 0.0),
+PROGRAMMES: dict[str, tuple[Moved, float, float]] = {
+    **{f"{f:g} Hz": _steady(f) for f in (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)},
+    "random 0.2-3 Hz": (_random(3e-3, 0.2, 3.0, 40.0, 5), 40.0, 0.0),
+    "random 0.5-8 Hz": (_random(2e-3, 0.5, 8.0, 40.0, 6), 40.0, 0.0),
+    "chirp 0.2-20 Hz": (lambda _: chirp(_TOP_SPEED, 5e-3, 0.2, 20.0, 48.0), 48.0, 24.0),
+    "amplitudes 5, 1, 8 mm": (lambda _: stairs(5e-3, 1.0, (1.0, 0.2, 1.6) * 3, 6.0), 54.0, 18.0),
+    "stops": (lambda _: stops(SineMotion(5e-3, 1.0), 8.0, 4.0, 3), 36.0, 0.0),
 }
 """Motions with their duration [s], and the time [s] by which every part of them has occurred."""
 
 
-def _healthy(job: tuple[str, str, str]) -> tuple[float, float, Stretch]:
+def _healthy(job: tuple[str, str, str], seed: int) -> tuple[float, float, Stretch]:
     """Time asked and valid [s], and the time of wrong but valid force."""
     programme, damper, law = job
     motion, duration, known_from = PROGRAMMES[programme]
-    settings = TrialSettings(engine=EngineSettings().for_law(law))
-    result = StreamTrial(DAMPERS[damper], motion(), 1.2, settings=settings).run(duration)
+    settings = TrialSettings(seed, engine=EngineSettings().for_law(law))
+    result = StreamTrial(DAMPERS[damper], motion(seed), 1.2, settings=settings).run(duration)
     # If nothing was ever valid, all of the time counts as a failure.
     begin = max(float(result.time[np.argmax(result.valid)]), known_from)
     asked = (result.time >= begin) & ~at_rest(result)
@@ -376,11 +389,13 @@ def _healthy(job: tuple[str, str, str]) -> tuple[float, float, Stretch]:
 
 
 def healthy_figures(
-    programmes: Sequence[str] = tuple(PROGRAMMES), dampers: Sequence[str] = tuple(DAMPERS)
+    programmes: Sequence[str] = tuple(PROGRAMMES),
+    dampers: Sequence[str] = tuple(DAMPERS),
+    seed: int = 0,
 ) -> Measured:
     """Run these programmes with these dampers, once for each law."""
     jobs = list(product(programmes, dampers, HEALTHY_LAWS))
-    found = dict(zip(jobs, in_processes(_healthy, jobs), strict=True))
+    found = dict(zip(jobs, in_processes(_healthy, jobs, repeat(seed)), strict=True))
     shares = []
     for law in HEALTHY_LAWS:
         of_law = [found[job] for job in jobs if job[2] == law]

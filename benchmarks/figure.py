@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import Any, TypeVar
@@ -13,8 +13,15 @@ Measured = dict[str, Value | tuple[Value, str]]
 
 Result = TypeVar("Result")
 
+Case = TypeVar("Case")
+
 PROCESSES = 2
 """Number of cores on which the figures are measured."""
+
+
+def some_of(cases: Sequence[Case], every: int, seed: int) -> Sequence[Case]:
+    """One in ``every`` case, the first of them chosen by the seed."""
+    return cases[seed % every :: every]
 
 
 def in_processes(work: Callable[..., Result], *arguments: Iterable[Any]) -> list[Result]:

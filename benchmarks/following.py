@@ -167,10 +167,10 @@ def drift_of(run: Recording) -> tuple[float, Array, Array]:
     return float(np.quantile(np.abs(errors), 0.95)), np.array(predicted), np.array(fitted)
 
 
-def drift_figures(duration: float = 600.0) -> Measured:
+def drift_figures(duration: float = 600.0, seed: int = 0) -> Measured:
     """The damper heats from 28 to 71 °C."""
     damper = EmulatedDamper(COLD_DAMPER, HOT_DAMPER)
-    run = recording(damper, duration, seed=1, thermal=_thermal_model(duration))
+    run = recording(damper, duration, seed=1 + seed, thermal=_thermal_model(duration))
     scale, predicted, fitted = drift_of(run)
     assert run.temperature is not None
     hottest, single = float(run.temperature[-1]), float(np.quantile(predicted / fitted, 0.95))
@@ -190,7 +190,7 @@ _OFFSETS = tuple(place / 8.0 for place in range(8))
 _BEFORE, _AFTER = 8.0, 10.0
 
 
-def windows_until_right(offset: float) -> float:
+def windows_until_right(offset: float, seed: int = 0) -> float:
     """Time from the step until the error of the set in use stays within 1 %, in window lengths.
 
     ``offset`` is the time of the step after the end of a window, in hops. The error is the norm of
@@ -201,7 +201,7 @@ def windows_until_right(offset: float) -> float:
     run = recording(
         EmulatedDamper(COLD_DAMPER),
         time + _AFTER,
-        seed=round(100 * offset),
+        seed=round(100 * offset) + 100 * seed,
         faults=[fault_of(f"force_loss:{_FACTOR}@{time}")],
     )
     truth = sine_force(scaled(COLD_DAMPER, _FACTOR), *_cycle(), CURRENT)
@@ -215,9 +215,9 @@ def windows_until_right(offset: float) -> float:
     return float(right_since) / WINDOW
 
 
-def step_figures(offsets: Sequence[float] = _OFFSETS) -> Measured:
+def step_figures(offsets: Sequence[float] = _OFFSETS, seed: int = 0) -> Measured:
     """Longest of these durations over steps at several times within a hop."""
-    times = [windows_until_right(offset) for offset in offsets]
+    times = [windows_until_right(offset, seed) for offset in offsets]
     return {"step_windows": (max(times), f"Mean: {float(np.mean(times)):.2f}.")}
 
 
@@ -231,9 +231,9 @@ _SOFT, _STIFF = 2e-3, 1.5e-4
 5 mm and 1 Hz, the second in random motion."""
 
 
-def exchanges(tracker: str, windows: int) -> int:
+def exchanges(tracker: str, windows: int, seed: int = 0) -> int:
     """Number of set changes after the first set, for a constant damper of the exact law."""
-    run = recording(EmulatedDamper(COLD_DAMPER), WINDOW + (windows - 1) * HOP, seed=3)
+    run = recording(EmulatedDamper(COLD_DAMPER), WINDOW + (windows - 1) * HOP, seed=3 + seed)
     verdicts = [report.verdict for report, *_ in follow(run, TrackerSettings(tracker=tracker))]
     if Verdict.ACCEPTED not in verdicts:
         raise RuntimeError("no window of the constant damper was accepted")
@@ -241,7 +241,7 @@ def exchanges(tracker: str, windows: int) -> int:
 
 
 def published_scales(
-    motion: Excitation, yield_length: float, windows: int
+    motion: Excitation, yield_length: float, windows: int, seed: int = 0
 ) -> tuple[Array, Array, float]:
     """Published force scales (w,) and their claimed errors for a damper of another law.
 
@@ -254,7 +254,8 @@ def published_scales(
     for name, value in {**_BOUC_WEN, **_HYSTERESIS, "yield_length": yield_length}.items():
         values[model.parameter_names.index(name)] = value
     damper = EmulatedDamper(ParameterSet(values, model=model.name))
-    run = recording(damper, _SETTLING + windows * WINDOW, seed=5, motion=motion, current=1.0)
+    duration = _SETTLING + windows * WINDOW
+    run = recording(damper, duration, seed=5 + seed, motion=motion, current=1.0)
     run = recordings.cut(run, slice(round(_SETTLING / run.period), None))
     steps = follow(run, TrackerSettings(), hop=WINDOW)
     reports = [report for report, *_ in steps if report.confirms][1:]
@@ -266,10 +267,10 @@ def published_scales(
     )
 
 
-def many_tones(duration: float) -> SampledMotion:
+def many_tones(duration: float, seed: int = 0) -> SampledMotion:
     """Gaussian motion of 3 mm rms with a flat spectrum from 0.5 to 3 Hz, as a sum of many tones."""
     period, tones = 0.005, 200
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(1 + seed)
     rates = 2.0 * np.pi * rng.uniform(0.5, 3.0, tones)
     angles = np.outer(np.arange(round(duration / period) + 1) * period, rates)
     amplitudes = 3e-3 / math.sqrt(tones) * rng.standard_normal((2, tones))
@@ -283,12 +284,12 @@ def chi_square(scales: Array, errors: Array) -> float:
     return float(np.sum(((scales - mean) / errors) ** 2)) / (scales.size - 1)
 
 
-def steady_figures(windows: int = 600, misfit_windows: int = 100) -> Measured:
+def steady_figures(windows: int = 600, misfit_windows: int = 100, seed: int = 0) -> Measured:
     """Measure a damper of another law in two motions, and an exact damper."""
-    counts = {name: exchanges(name, windows) for name in ("window", "recursive")}
-    sine = published_scales(MOTION, _SOFT, misfit_windows)
-    motion = many_tones(misfit_windows * WINDOW + _SETTLING)
-    irregular = published_scales(motion, _STIFF, misfit_windows)
+    counts = {name: exchanges(name, windows, seed) for name in ("window", "recursive")}
+    sine = published_scales(MOTION, _SOFT, misfit_windows, seed)
+    motion = many_tones(misfit_windows * WINDOW + _SETTLING, seed)
+    irregular = published_scales(motion, _STIFF, misfit_windows, seed)
     scales = irregular[0]
     return {
         "misfit_error_ratio": (
@@ -359,7 +360,7 @@ def streamed(case: SwitchedStream, duration: float) -> TrialResult:
     return StreamTrial(case.damper, motion, current, settings=settings).run(duration)
 
 
-def _drift_errors(duration: float) -> Array:
+def _drift_errors(duration: float, seed: int) -> Array:
     """Errors of the reported force scale [1] while the damper heats from 28 to 71 °C.
 
     The true scale is the force of the heating damper over that of a damper that stays cold.
@@ -368,7 +369,8 @@ def _drift_errors(duration: float) -> Array:
     capacity, ambient = 1e4, 90.0
     rate = math.log((ambient - COLD) / (ambient - HOT)) / duration
     heat = ThermalModel(ambient, COLD, capacity, conductance=rate * capacity)
-    current, settings = _switched_or_clipped("switched", duration), TrialSettings(block_size=_BLOCK)
+    current = _switched_or_clipped("switched", duration)
+    settings = TrialSettings(seed, block_size=_BLOCK)
     trial = StreamTrial(SIXTEEN, MOTION, current, settings=settings, thermal=heat, hot_force=0.74)
     result = trial.run(duration)
     reference = EmulatedRig(EmulatedDamper(SIXTEEN), MOTION, current).record(duration).force
@@ -384,9 +386,9 @@ def _drift_errors(duration: float) -> Array:
     return np.asarray(errors)
 
 
-def switched_figures(duration: float = 135.0) -> Measured:
+def switched_figures(duration: float = 135.0, seed: int = 0) -> Measured:
     """A damper that heats while the current is switched."""
-    error = float(np.quantile(np.abs(_drift_errors(duration)), 0.95))
+    error = float(np.quantile(np.abs(_drift_errors(duration, seed)), 0.95))
     return {"switched_drift_scale_error_p95_percent": 100.0 * error}
 
 

@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 
 from benchmarks.dampers import LAWS, ForeignDamper
-from benchmarks.figure import Measured, in_processes
+from benchmarks.figure import Measured, in_processes, some_of
 from benchmarks.motions import CURRENTS, DURATION, MOTIONS, SLOW, SLOW_DURATION
 from benchmarks.streams import (
     StreamTrial,
@@ -117,8 +117,9 @@ class Combination:
         return trial.run(min(duration, SLOW_DURATION if self.motion == SLOW else DURATION))
 
 
-def _combinations() -> tuple[Combination, ...]:
-    rng = np.random.default_rng(20)
+def combinations(seed: int = 0) -> tuple[Combination, ...]:
+    """All combinations; their numbers, which seed motions, noise and faults, depend on the seed."""
+    rng = np.random.default_rng(20 + seed)
     pairs = list(product(MOTIONS, LAWS))  # every fifth has all laws
     sizes, capacities = (0.3, 0.7, 1.0, 1.5, 2.5), (math.inf, 80.0)
     columns = [
@@ -127,12 +128,10 @@ def _combinations() -> tuple[Combination, ...]:
     ]
     return tuple(
         Combination(number, law, motion, *entries)  # type: ignore[arg-type]
-        for number, ((motion, law), *entries) in enumerate(zip(pairs, *columns, strict=True))
+        for number, ((motion, law), *entries) in enumerate(
+            zip(pairs, *columns, strict=True), start=seed * len(pairs)
+        )
     )
-
-
-COMBINATIONS = _combinations()
-"""All combinations."""
 
 
 @dataclass(frozen=True)
@@ -194,9 +193,9 @@ def run(given: Combination) -> Outcome:
     )
 
 
-def figures(every: int = 1) -> Measured:
+def figures(every: int = 1, seed: int = 0) -> Measured:
     """Run all combinations, or one in ``every``."""
-    outcomes = in_processes(run, COMBINATIONS[::every])
+    outcomes = in_processes(run, some_of(combinations(seed), every, seed))
     wrong = np.array([outcome.wrong_valid for outcome in outcomes])
     refused = 100.0 * np.array([outcome.refused for outcome in outcomes])
     worse = [(outcome, each) for outcome in outcomes for each in outcome.worse_sets]
@@ -231,7 +230,7 @@ def figures(every: int = 1) -> Measured:
     }
 
 
-def block_size_figures(duration: float = 20.0, streams: int = 4) -> Measured:
+def block_size_figures(duration: float = 20.0, streams: int = 4, seed: int = 0) -> Measured:
     """Fraction of the time in motion with valid force, for several motions and block sizes.
 
     One combination of each motion runs without its faults.
@@ -239,7 +238,7 @@ def block_size_figures(duration: float = 20.0, streams: int = 4) -> Measured:
     motions = ("sine 0.4 Hz", "sine 2 Hz", "random 0.2-3 Hz", "quarter car")
     spreads, notes = [], []
     for place, motion in enumerate(motions[:streams]):
-        first = next(each for each in COMBINATIONS[place:] if each.motion == motion)
+        first = next(each for each in combinations(seed)[place:] if each.motion == motion)
         shares = []
         for size in BLOCKS:
             result = replace(first, fault="", sensors="noisy", block=size).run(duration)

@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 
 from benchmarks.dampers import DAMPERS
-from benchmarks.figure import Measured
+from benchmarks.figure import Measured, some_of
 from benchmarks.motions import random_motion
 from mr_damper_ros.emulation.emulator import (
     THESIS_FORCE_NOISE,
@@ -44,9 +44,9 @@ _CURRENT = 1.0
 _SETS = {"thesis": ParameterSet(THESIS_28_CELSIUS), "viscous_tanh": DAMPERS["viscous_tanh"]}
 
 
-def sent(rig: RigBlock, rate: float, size: int, kind: str) -> list[SampleBlock]:
+def sent(rig: RigBlock, rate: float, size: int, kind: str, seed: int) -> list[SampleBlock]:
     """The signals of a fine rig in blocks of ``size``; ``kind`` is clean, clock or sampling."""
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     count, period = rig.force.size // _FINE, 1.0 / rate
     noise = THESIS_FORCE_NOISE * rng.standard_normal(count)
     noise_of_position = 1e-6 * rng.standard_normal(count)
@@ -71,13 +71,13 @@ def sent(rig: RigBlock, rate: float, size: int, kind: str) -> list[SampleBlock]:
     return blocks
 
 
-def followed(rig: RigBlock, rate: float, size: int, kind: str) -> tuple[float, float]:
+def followed(rig: RigBlock, rate: float, size: int, kind: str, seed: int) -> tuple[float, float]:
     """Percentage of the sent samples with valid force, and NRMSE against the force of the rig."""
     # Least squares finds the minima of the default method in a tenth of the time.
     engine = Engine(EngineSettings(tracking=TrackerSettings(method="least_squares")))
     valid, errors, truths = [], [], []
     grid = np.arange(rig.force.size) * rig.period
-    for block in sent(rig, rate, size, kind):
+    for block in sent(rig, rate, size, kind, seed):
         begin = block.sequence * block.period
         stamp_ns = rig.start_ns + round(begin * NANOSECONDS)
         engine.add_current(stamp_ns - 100_000_000, _CURRENT)
@@ -99,23 +99,27 @@ def followed(rig: RigBlock, rate: float, size: int, kind: str) -> tuple[float, f
     return 100.0 * float(np.mean(valid)), nrmse
 
 
-def figures() -> Measured:
-    """Worst of two dampers in a sine of the thesis and in random motion, from a cold start."""
+def figures(every: int = 1, seed: int = 0) -> Measured:
+    """Worst of two dampers in a sine of the thesis and in random motion, from a cold start.
+
+    The figures are those of all these streams, or of one in ``every``.
+    """
     motions: dict[str, Excitation] = {
         "sine": SineMotion(0.005, 1.0),
-        "random": random_motion(0.003, 0.3, 3.0, DURATION, seed=1),
+        "random": random_motion(0.003, 0.3, 3.0, DURATION, 1 + seed),
     }
     valid, shares, ratios = [], [], []
-    for name, moved, rate in product(_SETS, motions, (200.0, 1000.0)):
+    streams = list(product(_SETS, motions, (200.0, 1000.0)))
+    for name, moved, rate in some_of(streams, every, seed):
         settings = RigSettings(rate * _FINE, force_noise=0.0)
         source = EmulatedRig(
             EmulatedDamper(_SETS[name]), motions[moved], _CURRENT, settings=settings
         )
         rig = source.next_block(round(DURATION * rate * _FINE))
         for size in (1, 10):
-            clean, clean_nrmse = followed(rig, rate, size, "clean")
+            clean, clean_nrmse = followed(rig, rate, size, "clean", seed)
             for kind in ("clock", "sampling"):
-                share, nrmse = followed(rig, rate, size, kind)
+                share, nrmse = followed(rig, rate, size, kind, seed)
                 what = f"{name}, {moved}, {rate:g} Hz in blocks of {size}, {kind}"
                 told = f"{what}: {share:.1f} %, clean {clean:.1f} %"
                 valid.append((share, told))

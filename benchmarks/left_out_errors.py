@@ -29,13 +29,15 @@ _NOISE = 0.02
 """Standard deviation of the noise relative to the root mean square of the force."""
 
 
-def scores(law: str, known: Sequence[Window], left_out: Sequence[Window]) -> tuple[Array, Array]:
+def scores(
+    law: str, known: Sequence[Window], left_out: Sequence[Window], seed: int
+) -> tuple[Array, Array]:
     """True over claimed errors: of the coefficients (k, c) and of the force (k,) left out.
 
     A fit to the window alone gives the true coefficients that it determines; its errors count, too.
     """
     model = MODELS[law]
-    fit = identify_global(model, known, model.initial_values()[0], EvolutionSettings())
+    fit = identify_global(model, known, model.initial_values()[0], EvolutionSettings(seed=seed))
     values = fit.parameter_set.values
     coefficients, forces = [], []
     for window in left_out:
@@ -81,9 +83,12 @@ def foreign_windows(seed: int) -> tuple[list[Window], list[Window]]:
     return known, left_out
 
 
-def foreign_figures(dampers: int = DAMPERS, laws: Sequence[str] = tuple(MODELS)) -> Measured:
+def foreign_figures(
+    dampers: int = DAMPERS, laws: Sequence[str] = tuple(MODELS), seed: int = 0
+) -> Measured:
     """Foreign dampers, identified with one law after the other of the package."""
-    found = [scores(laws[k % len(laws)], *foreign_windows(k)) for k in range(dampers)]
+    chosen = range(seed * dampers, (seed + 1) * dampers)
+    found = [scores(laws[k % len(laws)], *foreign_windows(k), seed) for k in chosen]
     figures: Measured = {}
     for key, place in (("coefficients", 0), ("force", 1)):
         each = [_rms([pair[place]]) for pair in found]
@@ -92,7 +97,7 @@ def foreign_figures(dampers: int = DAMPERS, laws: Sequence[str] = tuple(MODELS))
     return figures
 
 
-def recorded_figures(laws: Sequence[str] = tuple(MODELS)) -> Measured:
+def recorded_figures(laws: Sequence[str] = tuple(MODELS), seed: int = 0) -> Measured:
     """The processed sinusoid records, each motion left out in turn."""
     place = recordings.folder()
     keys = "left_out_coefficients", "left_out_force"
@@ -104,7 +109,7 @@ def recorded_figures(laws: Sequence[str] = tuple(MODELS)) -> Measured:
         folds = []
         for out, windows in motions.items():
             known = [w for motion, each in motions.items() if motion != out for w in each]
-            folds.append(scores(law, known, windows))
+            folds.append(scores(law, known, windows, seed))
         found[law] = [_rms(parts) for parts in zip(*folds, strict=True)]
     note = ", ".join(laws)
     return {

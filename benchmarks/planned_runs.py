@@ -223,9 +223,10 @@ def _campaign(planner: RunPlanner, first: PlannedRun, machine: _Machine, truth: 
     return first_claim
 
 
-def figures(dampers: int = 30) -> Measured:
+def figures(dampers: int = 30, seed: int = 0) -> Measured:
     """Measure a number of dampers, half of each kind."""
-    trials = [trial(kind, seed) for kind in KINDS for seed in range(dampers // len(KINDS))]
+    each = dampers // len(KINDS)
+    trials = [trial(kind, seed * each + place) for kind in KINDS for place in range(each)]
     courses, saved, inside = zip(*trials, strict=True)
     within = sum(course.true <= _ERROR for course in courses)
     true = float(np.median([course.true for course in courses]))
@@ -277,14 +278,14 @@ def _foreign_cycles(law: str) -> Array:
     return np.array(forces)
 
 
-def foreign_figures(laws: int = len(LAWS)) -> Measured:
+def foreign_figures(laws: int = len(LAWS), seed: int = 0) -> Measured:
     """Compare the true worst error of several foreign laws with the claimed one."""
     planner = RunPlanner(_LAW, _GOAL, _LIMITS)
     cycles = Cycles(_LAW, _GOAL.cycles())
     stairs = [run for run in planner.candidates if len(run.currents) >= _STAIRS]
     ratios = []
-    for seed, law in enumerate(list(LAWS)[:laws]):
-        rng = np.random.default_rng(seed)
+    for number, law in enumerate(list(LAWS)[:laws], start=seed * len(LAWS)):
+        rng = np.random.default_rng(number)
         chosen = rng.choice(len(stairs), _RUNS - 1, replace=False)
         runs = [first_run(_GOAL, _LIMITS), *(stairs[place] for place in chosen)]
         windows = [w for run in runs for w in run.windows(_foreign_run(law, run, rng))]

@@ -110,10 +110,19 @@ _BEFORE, _AFTER = 1.0, 9.0
 """Duration [s] of a record before and after the start of the motion, and its threshold [m]."""
 
 
+def _start_of_motion(record: Recording) -> int:
+    """Index of the first sample in motion."""
+    return int(np.argmax(np.abs(record.displacement - record.displacement[0]) > _MOVING))
+
+
+def _from_rest(record: Recording, seed: int) -> Recording:
+    """The record without so many tenths of its rest before the motion, 0 to 9 by the seed."""
+    return recordings.cut(record, slice(_start_of_motion(record) * (seed % 10) // 10, None))
+
+
 def _begin_of(record: Recording) -> Recording:
     """The first seconds of the motion in a record."""
-    moves = np.abs(record.displacement - record.displacement[0]) > _MOVING
-    begin = max(int(np.argmax(moves)) - round(_BEFORE / record.period), 0)
+    begin = max(_start_of_motion(record) - round(_BEFORE / record.period), 0)
     part = slice(begin, begin + round((_BEFORE + _AFTER) / record.period))
     return recordings.cut(record, part)
 
@@ -138,12 +147,13 @@ def _windows_until_good(record: Recording, model: str) -> float:
     return float("inf")
 
 
-def cold_start_figures() -> Measured:
+def cold_start_figures(seed: int = 0) -> Measured:
     """The beginning of the three earthquake records."""
     place = recordings.folder()
     if place is None:
         return {"cold_start_windows": (None, recordings.NONE)}
-    begins = [_begin_of(record) for record in recordings.unsmoothed_earthquakes(place)]
+    records = [_from_rest(each, seed) for each in recordings.unsmoothed_earthquakes(place)]
+    begins = [_begin_of(record) for record in records]
     found = [_windows_until_good(record, law) for law in _TWO_LAWS for record in begins]
     return {"cold_start_windows": found}
 

@@ -71,11 +71,11 @@ def cpu_seconds(work: Callable[[], object]) -> float:
 # -- streamed kinematics against exact ones --------------------------------------------------------
 
 
-def stream_figures(runs: int | None = None) -> Measured:
+def stream_figures(runs: int | None = None, seed: int = 0) -> Measured:
     """Error of the predicted force on all clean runs, or on the first few."""
     errors = []
     for condition in [c for c in CONDITIONS if is_clean(c)][:runs]:
-        run = synthesise(condition)
+        run = synthesise(condition, seed=seed)
         values = parameters(condition)
         said = replay(run, ParameterSet(values), identify=False)
         time_: Array = np.arange(run.force.size, dtype=float) * run.period

@@ -11,14 +11,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import product, repeat
 from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks.dampers import DAMPERS as OTHER_DAMPERS
 from benchmarks.dampers import ForeignDamper
-from benchmarks.figure import Measured, in_processes
+from benchmarks.figure import Measured, in_processes, some_of
 from benchmarks.motions import random_motion
 from benchmarks.motions import switched as switched_current
 from mr_damper_ros.api.replay import replay
@@ -95,7 +95,9 @@ def smoothness(commands: Sequence[tuple[float, bool]]) -> tuple[float, float]:
 
 # -- a quarter car ---------------------------------------------------------------------------------
 
-ROADS = ("A", "B", "C", "D")
+DRIVES = tuple(product(("A", "B", "C", "D"), range(5)))
+"""Roads and seeds."""
+
 SPEED = 20.0
 DRIVEN = 30.0
 
@@ -172,7 +174,8 @@ def driven(road: str, seed: int, duration: float = DRIVEN, *, given: bool = True
 
 # -- an emulated rig under a switched current ------------------------------------------------------
 
-SWITCHED = 60.0
+SWITCHED, SWITCHED_RUNS = 60.0, range(20)
+"""Duration [s] of a run, and the seeds."""
 
 THESIS = ParameterSet(THESIS_28_CELSIUS, set_id="thesis", peak_velocity_range=(0.0, 1.0))
 
@@ -286,15 +289,17 @@ class Followed(NamedTuple):
     late: float
 
 
-def followed(name: str, watched: bool, duration: float = FOLLOWED) -> Followed:
+def followed(name: str, watched: bool, seed: int = 0, duration: float = FOLLOWED) -> Followed:
     """Track a viscous damper; ``watched`` selects the default maximum_error, otherwise 0."""
     case, supply = CASES[name], SupplySetpoint(0.0)
-    motion = SineMotion(0.005, 1.0) if case.sine else random_motion(0.004, 0.5, 3.0, FOLLOWED, 0)
+    motion: Excitation = SineMotion(0.005, 1.0)
+    if not case.sine:
+        motion = random_motion(0.004, 0.5, 3.0, FOLLOWED, seed)
     rig = EmulatedRig(
         case.damper(),
         motion,
         supply,
-        settings=RigSettings(displacement_noise=1e-6),
+        settings=RigSettings(displacement_noise=1e-6, seed=seed),
         # So much heat capacity that it stays as it is.
         thermal=ThermalModel(
             ambient_temperature=case.celsius, initial_temperature=case.celsius, heat_capacity=1e9
@@ -328,17 +333,19 @@ _FEW = 0.5
 """Reversals per second that are negligible."""
 
 
-def figures(
-    roads: Sequence[str] = ROADS,
-    seeds: Sequence[int] = range(5),
-    switched_seeds: Sequence[int] = range(20),
-    names: Sequence[str] = tuple(CASES),
-) -> Measured:
-    """Validity, error and smoothness of the loop; prints each run."""
-    drives = in_processes(driven, *zip(*product(roads, seeds), strict=True))
-    runs = in_processes(switched, switched_seeds)
+def figures(every: int = 1, seed: int = 0) -> Measured:
+    """Validity, error and smoothness of the loop; prints each run.
+
+    The figures are those of all drives, runs and cases, or of one in ``every``.
+    """
+    roads, seeds = zip(*some_of(DRIVES, every, seed), strict=True)
+    drives = in_processes(driven, roads, [each + 5 * seed for each in seeds])
+    chosen = some_of(SWITCHED_RUNS, every, seed)
+    runs = in_processes(switched, [each + len(SWITCHED_RUNS) * seed for each in chosen])
+    names = some_of(tuple(CASES), every, seed)
     jobs = list(product(dict.fromkeys((*names, *_TRACKED)), (True, False)))
-    results = dict(zip(jobs, in_processes(followed, *zip(*jobs, strict=True)), strict=True))
+    smooth = in_processes(followed, *zip(*jobs, strict=True), repeat(seed))
+    results = dict(zip(jobs, smooth, strict=True))
     print(*drives, *runs, *results.items(), sep="\n", file=sys.stderr)
     ratios = {
         name: (results[name, True].reversals + _FEW) / (results[name, False].reversals + _FEW)
