@@ -51,6 +51,8 @@ _KINDS = ("integer", "other", "integer", "sweep", "random")
 _FOREIGN = ("stribeck", "shim_valves", "leakage", "remanence")
 """Laws of foreign dampers, each for one of 16 records that are short enough."""
 
+_PIECES = 200
+
 _LONGEST_FOREIGN = 500_000
 """Largest number of samples of a foreign damper, which takes 10 µs for each."""
 
@@ -81,7 +83,9 @@ class LongRecord:
     def made(self) -> dict[str, Any]:
         """Displacement [m], force [N], current [A] and period [s]."""
         period, rng = 1.0 / self.rate, np.random.default_rng(self.number)
-        u, v, a = self.motion.at(np.arange(self.count, dtype=np.float64) * period)
+        # Piece by piece, because all tones at all samples would need gigabytes.
+        times = np.array_split(np.arange(self.count, dtype=np.float64) * period, _PIECES)
+        u, v, a = np.hstack([self.motion.at(piece) for piece in times])
         if self.motion.kind is MotionKind.SINE:
             v_m = np.full(self.count, 2.0 * math.pi * self.motion.frequency * self.motion.amplitude)
         else:
