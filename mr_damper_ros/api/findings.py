@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -11,16 +11,12 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.api.measured_runs import MeasuredRun
-from mr_damper_ros.estimation.covariance import noise_level
 from mr_damper_ros.estimation.experiment_design import MachineLimits, extra_runs
 from mr_damper_ros.estimation.global_fit import GlobalFit
 from mr_damper_ros.estimation.multi_start import MultiStart
 from mr_damper_ros.estimation.observability import (
-    Determination,
     current_varies,
-    determination,
-    parameter_ranges,
-    parameter_spans,
+    determination_of,
 )
 from mr_damper_ros.estimation.profile_likelihood import Profile
 from mr_damper_ros.estimation.window_fit import fit_window
@@ -68,19 +64,14 @@ Estimates = Mapping[str, Estimate]
 
 
 def parameter_estimates(
-    found: ParameterSet, partners: Mapping[str, tuple[str, ...]] | None = None
+    found: ParameterSet, only_with: Mapping[str, Sequence[str]] | None = None
 ) -> dict[str, Estimate]:
-    """The estimates of a parameter set, by name.
-
-    ``partners`` is the result of :meth:`Determination.partners`.
-    """
+    """The estimates of a set, by name; ``only_with`` is that of its :class:`GlobalFit`."""
     estimates = {}
     columns = found.values, found.standard_errors, found.discrepancies, found.observable
     rows = zip(found.law.parameters, *(column.tolist() for column in columns), strict=True)
     for parameter, value, error, discrepancy, observable in rows:
-        others = (partners or {}).get(parameter.name, ())
-        if others:
-            error = discrepancy = math.nan
+        others = tuple((only_with or {}).get(parameter.name, ()))
         estimates[parameter.name] = Estimate(
             value, error, parameter.unit, observable, discrepancy=discrepancy, only_with=others
         )
@@ -198,25 +189,27 @@ class Findings:
         return Findings(self.lines + other.lines, self.document | other.document)
 
 
+def attempted(what: str, compute: Callable[[], Findings]) -> Findings:
+    """The findings that ``compute`` returns, or a line that says that it failed.
+
+    What is computed after a search must not lose its result.
+    """
+    try:
+        return compute()
+    except (ValueError, ArithmeticError) as error:
+        return Findings([f"{what} could not be computed: {error}"], {})
+
+
 def _entry(of: object, *names: str) -> dict[str, Any]:
     """These attributes, by name."""
     return {name: getattr(of, name) for name in names}
 
 
-def determination_of(fit: GlobalFit, windows: Sequence[Window]) -> Determination:
-    """The combinations of parameters that the windows of a fit determine."""
-    law, values, misfit = fit.parameter_set.law, fit.parameter_set.values, fit.misfit(windows)
-    jacobian = misfit.jacobian(values) / noise_level(misfit.residual(values))
-    spans = parameter_spans(law, jacobian, values, parameter_ranges(law, windows))
-    return determination(law, jacobian, spans, values)
-
-
-def determined(
-    fit: GlobalFit, windows: Sequence[Window], rig: MachineLimits, result: Determination
-) -> Findings:
+def determined(fit: GlobalFit, windows: Sequence[Window], rig: MachineLimits) -> Findings:
     """The determined parameters, and runs within the range of the rig that would determine more."""
-    found, noise = fit.parameter_set, float(np.median(fit.noise))
+    found, noise = fit.parameter_set, max(float(np.median(fit.noise)), 1e-9)
     misfit = fit.misfit(windows)
+    result = determination_of(misfit, windows, found.values)
     runs = extra_runs(misfit, noise, found.values, found.observable, rig)
     lines = [
         f"the data determine {result.rank} of {len(result.names)} combinations of the parameters",

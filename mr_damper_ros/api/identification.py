@@ -8,7 +8,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -43,8 +43,8 @@ from mr_damper_ros.estimation.multi_start import (
     SearchRecordError,
     identify_from_seeds,
 )
-from mr_damper_ros.estimation.observability import Determination, operating_points_within
-from mr_damper_ros.estimation.profile_likelihood import profiled, profiles_of
+from mr_damper_ros.estimation.observability import operating_points_within
+from mr_damper_ros.estimation.profile_likelihood import check_profiled, profiled, profiles_of
 from mr_damper_ros.estimation.record_levels import Level, LevelPrior
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
@@ -136,14 +136,7 @@ class Identification(ComparedRuns):
     @property
     def parameters(self) -> dict[str, Estimate]:
         """Value, standard error, unit and observability of each parameter, by name."""
-        found = self.parameter_set
-        errors = dict(zip(found.law.parameter_names, found.standard_errors.tolist(), strict=True))
-        return findings.parameter_estimates(found, self._determination.partners(errors))
-
-    @cached_property
-    def _determination(self) -> Determination:
-        with one_thread():
-            return findings.determination_of(self.searches.best, self._windows)
+        return findings.parameter_estimates(self.parameter_set, self.searches.best.only_with)
 
     @property
     def _windows(self) -> list[Window]:
@@ -229,7 +222,10 @@ class Identification(ComparedRuns):
             current=max(map(abs, currents)) if top_current is None else top_current,
             duration=1.0,
         )
-        return findings.determined(self.searches.best, windows, rig, self._determination)
+        return findings.attempted(
+            "the determined parameters",
+            lambda: findings.determined(self.searches.best, windows, rig),
+        )
 
     @one_thread()
     def profile(self, *names: str, workers: int = 1, report: Report | None = None) -> Findings:
@@ -240,9 +236,12 @@ class Identification(ComparedRuns):
         no parameter of a given name.
         """
         windows, fit = self._windows, self.searches.best
+        check_profiled(names, fit.parameter_set.law.parameter_names)
         with ProcessPool(workers) as processes:
-            found = profiles_of(fit, windows, names, processes, report)
-        return findings.profiles(fit, found)
+            return findings.attempted(
+                "the profiles",
+                lambda: findings.profiles(fit, profiles_of(fit, windows, names, processes, report)),
+            )
 
     @one_thread()
     def temperature_maps(self) -> Findings:
@@ -250,7 +249,11 @@ class Identification(ComparedRuns):
         measured = [run.measured for run in self.runs]
         if all(part.temperature is None for run in measured for part in run.recordings):
             return Findings([], {})
-        return findings.temperatures(findings.temperature_maps(measured, self.parameter_set))
+        found = self.parameter_set
+        return findings.attempted(
+            "the change with temperature",
+            lambda: findings.temperatures(findings.temperature_maps(measured, found)),
+        )
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the parameter set as YAML, for ``ParameterSet.load``, ``validate`` and the nodes.
@@ -365,6 +368,8 @@ def identify(
     profile
         Parameters for which to compute the profile likelihood. If the minimum of a profile lies far
         from the identified value, the search starts again from the minimum.
+
+        With the model "auto", parameters that the chosen law does not have are left out.
     level_per_record
         Expected standard deviation of the gains about 1, such as 0.1. Each run then has a gain and
         an offset, so that temperature, filling and load-cell zero do not distort the law.
@@ -407,6 +412,9 @@ def identify(
     start_values = None if model == AUTO else start_values_of(start, model)
     settings = EvolutionSettings(strategy=strategy, generations=generations, seed=seed)
     choice = None
+    profile = (profile,) if isinstance(profile, str) else profile
+    laws = MODELS.values() if model == AUTO else [MODELS[model]]
+    check_profiled(profile, list(dict.fromkeys(n for law in laws for n in law.parameter_names)))
     with ProcessPool(workers) as processes:
         measured = measured_runs(
             runs,
@@ -421,6 +429,8 @@ def identify(
             choice = cross_validate(
                 runs_of_windows, settings=seeded, report=report, processes=processes
             )
+            if choice.chosen is None:
+                raise ValueError(_stopped_choice(choice))
             model = choice.chosen.model
             start_values = start_values_of(start, model)
         search = partial(
@@ -431,7 +441,7 @@ def identify(
             settings=settings,
             processes=processes,
             starts=starts,
-            profile=(profile,) if isinstance(profile, str) else profile,
+            profile=[name for name in profile if name in MODELS[model].parameter_names],
             level_per_record=level_per_record,
             report=report,
         )
@@ -468,12 +478,18 @@ def identify_measured(
         keep = partial(_store, resume)
         if resume.exists():
             _resume(record, resume)
-    began = time.monotonic()
+    remarks, began = remarks_on(measured), time.monotonic()
     searches = identify_from_seeds(record, starts, report, processes=processes, keep=keep)
     profiles = Findings([], {})
-    if profile and not searches.best.stopped:
+
+    def profile_result() -> Findings:
+        nonlocal searches
         fit, found = profiled(searches.best, windows, profile, settings, processes, report)
-        searches, profiles = searches.replaced(fit), findings.profiles(fit, found)
+        searches = searches.replaced(fit)
+        return findings.profiles(fit, found)
+
+    if profile and not searches.best.stopped:
+        profiles = findings.attempted("the profiles", profile_result)
     duration = time.monotonic() - began
     best, fitted = searches.best.parameter_set, _fitted(searches, measured)
     slopes = findings.negative_slopes({run.name: run.coefficients for run in fitted}, best)
@@ -483,8 +499,18 @@ def identify_measured(
         searches=searches,
         method=method,
         duration=duration,
-        remarks=(*remarks_on(measured), *slopes),
+        remarks=(*remarks, *slopes),
         profiles=profiles,
+    )
+
+
+def _stopped_choice(choice: LawChoice) -> str:
+    """The message that no law is chosen, with the errors of the compared laws."""
+    errors = ", ".join(f"{trial.model} {trial.nrmse:.2%}" for trial in choice.trials)
+    return (
+        f"no law is chosen, because the comparison was stopped before {', '.join(choice.untried)} "
+        f"(NRMSE on {choice.left_out} left out so far: {errors}): name the law, or let the "
+        "comparison finish"
     )
 
 
@@ -640,7 +666,8 @@ def choose_law(
     Parameters
     ----------
     *runs, displacement, force, current, period, workers, accept_doubtful, report
-        As in :func:`identify`. If ``report`` returns False, only the completed laws are compared.
+        As in :func:`identify`. If ``report`` returns False, only the completed laws are compared,
+        and none is chosen.
     models
         Names of the laws, keys of ``MODELS``.
     seed
@@ -649,8 +676,9 @@ def choose_law(
     Returns
     -------
     LawChoice
-        ``chosen`` is the chosen law, ``trials`` are the errors of all laws, and the text of the
-        result is their table.
+        ``chosen`` is the chosen law, None if the comparison was stopped; ``trials`` are the errors
+        of the compared laws, ``untried`` the names of the others, and the text of the result is
+        their table.
 
     Raises
     ------

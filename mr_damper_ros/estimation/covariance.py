@@ -72,6 +72,18 @@ def normal_inverse(jacobian: Array) -> Array:
     return np.asarray(inverse)
 
 
+def prior_root(jacobian: Array) -> Array:
+    """Root W (p, p) of the covariance W Wᵀ of unknowns with a prior of unit width.
+
+    ``jacobian`` (n, p) belongs to a residual of unit variance. The root exists for any finite
+    Jacobian; a direction whose information is lost in rounding keeps the prior.
+    """
+    with_prior = np.vstack((jacobian, np.eye(jacobian.shape[1])))
+    _, sizes, axes = np.linalg.svd(triangular_factor(with_prior))
+    lost = sizes <= sizes.size * np.finfo(float).eps * sizes[0]
+    return np.asarray(axes.T / np.where(lost, 1.0, np.maximum(sizes, 1.0)))
+
+
 def white_level(jacobian: Array, covariance: Array, otherwise: float) -> float:
     """Standard deviation of white noise that gives unknowns (f,) the same uncertainty.
 
@@ -157,7 +169,8 @@ def noise_level(residual: Array, unknowns: int = 0) -> float:
     It is larger for a correlated residual, so that model error does not average out like noise.
     """
     freedom = max(independent_samples(residual) - unknowns, 1.0)
-    return math.sqrt(max(float(np.sum(residual**2)) / freedom, 1e-300))
+    # A law that describes the force exactly must not give an information that overflows.
+    return math.sqrt(max(float(np.sum(residual**2)) / freedom, 1e-24))
 
 
 def without_negative_variance(covariance: Array) -> Array:
@@ -224,8 +237,8 @@ class NoiseModel:
         """
         if not self.coefficients.size or self.variance == 0.0:
             return 1.0
-        level = self.innovation / (1.0 + float(np.sum(self.coefficients))) ** 2
-        return level / self.variance
+        gain = (1.0 + float(np.sum(self.coefficients))) ** 2
+        return self.innovation / gain / self.variance if gain > 0.0 else math.inf
 
     def score_covariance(self, columns: Array) -> Array:
         """Covariance (p, p) of columnsᵀ x for columns of shape (n, p)."""
@@ -234,7 +247,9 @@ class NoiseModel:
         count = columns.shape[0]
         size = 1 << (2 * count - 1).bit_length()
         polynomial = np.fft.rfft(np.append(1.0, self.coefficients), size)
-        spectrum = self.innovation / np.abs(polynomial) ** 2
+        # No frequency holds more than the whole power, even if the polynomial is zero there.
+        least = self.innovation / (size * self.variance)
+        spectrum = self.innovation / np.maximum(np.abs(polynomial) ** 2, least)
         # Only one half of the symmetric spectrum is computed.
         twice = np.full(spectrum.size, 2.0 / size)
         twice[[0, -1]] = 1.0 / size

@@ -32,6 +32,8 @@ from mr_damper_ros.estimation.covariance import (
     SIGNIFICANT,
     CyclePhases,
     noise_level,
+    prior_root,
+    triangular_factor,
 )
 from mr_damper_ros.estimation.global_fit import with_linear_refitted
 from mr_damper_ros.estimation.local_search import LocalSearch, Posterior, Prior
@@ -513,7 +515,9 @@ def cycle_errors(gradient: Array, information: Array) -> Array:
     # Units differ by many orders of magnitude.
     scale = 1.0 / np.sqrt(np.diagonal(information, axis1=-2, axis2=-1))
     units = scale[:, :, None] * scale[:, None, :]
-    inverse = np.linalg.inv(information * units) * units
+    # Without noise in the data, rounding can make the matrix singular or indefinite.
+    rounding = size**2 * np.finfo(float).eps * np.eye(size)
+    inverse = np.linalg.inv(information * units + rounding) * units
     variance = np.sum((flat @ inverse) * flat, axis=-1)
     errors = np.sqrt(np.maximum(variance, 0.0)).reshape(-1, count, phases)
     return np.asarray(errors.max(axis=-1))
@@ -564,19 +568,25 @@ def open_sets(
 ) -> list[Array]:
     """Sets (p,) that agree with the windows and differ in the shape parameters not ``observable``.
 
-    The linear parameters follow from the coefficients of the windows. ``top``: largest peak
-    velocity [m/s] and current [A]. The list is empty if all shape parameters are observable.
+    The linear parameters follow from the coefficients of the windows. Where these do not give a
+    set that describes the windows better than no force, the given set takes its place. ``top``:
+    largest peak velocity [m/s] and current [A]. The list is empty if all shape parameters are
+    observable.
     """
     known = np.array(model.parameter_names)[observable].tolist()
     rng, unknown = np.random.default_rng(0), set(model.shape_names).difference(known)
     solved = frozenset(model.linear) - unknown
+    power = sum(np.mean(window.force**2) for window in windows)
     sets = []
     for _ in range(count if unknown else 0):
         values = np.array(parameters)
         for name, value in model.draw_shape(rng, *top).items():
             if name in unknown:
                 values[model.parameter_names.index(name)] = value
-        sets.append(with_linear_refitted(model, windows, parameters, values, solved))
+        drawn = with_linear_refitted(model, windows, parameters, values, solved)
+        with np.errstate(over="ignore", invalid="ignore"):
+            left = sum(np.mean((model.window_force(w, drawn) - w.force) ** 2) for w in windows)
+        sets.append(drawn if left <= power else parameters)
     return sets
 
 
@@ -648,6 +658,8 @@ class CandidateRuns:
         """
         jacobian = self._cycles.gradient(parameters)
         of_sample = np.einsum("knp,knq->kpq", jacobian, jacobian) / PHASES
+        # A force that overflows far from the windows gives no information.
+        of_sample[~np.isfinite(of_sample).all(axis=(1, 2))] = 0.0
         size = parameters.size
         gains = (self._samples @ of_sample.reshape(-1, size * size)).reshape(-1, size, size)
         sigma = np.where(self._steady, noise, broad_noise)
@@ -829,7 +841,12 @@ class RunPlanner:
         """
         posterior = self._posterior(windows, parameters, self.prior(parameters))
         units = np.outer(posterior.widths, posterior.widths)
-        information = information_of(posterior.covariances()[0] / units) / units
+        covariance = posterior.covariances()[0] / units
+        # A parameter whose information is lost in rounding keeps its prior.
+        lost = np.isnan(np.diag(covariance))
+        covariance[lost] = covariance[:, lost] = 0.0
+        covariance[lost, lost] = 1.0
+        information = information_of(covariance) / units
         return self._errors(parameters, information, self._model_errors(windows, parameters))
 
     def next(self, windows: Sequence[Window], parameters: Array, observable: np.ndarray) -> Plan:
@@ -985,8 +1002,8 @@ def extra_runs(
     level = noise_level(misfit.residual(parameters))
     top = top[0], max(top[1], 1e-6)
     sets = open_sets(model, misfit.windows, parameters, observable, top, 2 * _SETS)
-    jacobians = [misfit.jacobian(values) * spans / level for values in sets]
-    present = np.array([np.eye(spans.size) + jacobian.T @ jacobian for jacobian in jacobians])
+    # The information of the present runs, as a root, which rounding does not make singular.
+    present = [triangular_factor(misfit.jacobian(values) * spans / level) for values in sets]
     gains = np.array([candidates.gains(v, noise * level, noise * level) for v in sets])
     gains *= np.outer(spans, spans)
     advised: list[ExtraRun] = []
@@ -995,10 +1012,15 @@ def extra_runs(
     for _ in range(max(parameter.currents for parameter in model.parameters)):
         if not missing.any():
             break
-        after = present[:, np.newaxis] + gains
-        best = int(np.argmax(np.mean(np.linalg.slogdet(after)[1], axis=0)))
-        present, run = after[:, best], candidates.runs[best]
-        errors = np.sqrt(np.diagonal(np.linalg.inv(present), axis1=-2, axis2=-1))
+        roots = np.array([prior_root(each) for each in present])[:, np.newaxis]
+        growth = np.eye(spans.size) + np.swapaxes(roots, -1, -2) @ gains @ roots
+        best = int(np.argmax(np.mean(np.linalg.slogdet(growth)[1], axis=0)))
+        run = candidates.runs[best]
+        values, axes = np.linalg.eigh(gains[:, best])
+        added = np.sqrt(values.clip(0.0))[:, :, np.newaxis] * np.swapaxes(axes, -1, -2)
+        pairs = zip(present, added, strict=True)
+        present = [triangular_factor(np.vstack(pair)) for pair in pairs]
+        errors = np.array([np.linalg.norm(prior_root(each), axis=1) for each in present])
         determined = missing & (np.median(errors, axis=0) < SURE)
         told, worst = tuple(names[determined].tolist()), float(np.mean(errors.max(axis=-1)))
         advised.append(ExtraRun(run.amplitude, run.frequency, run.currents[0], told, worst))

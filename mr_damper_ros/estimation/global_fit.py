@@ -30,6 +30,7 @@ from mr_damper_ros.estimation.covariance import (
     error_covariances,
     independent_samples,
     noise_level,
+    prior_root,
     triangular_factor,
     without_negative_variance,
 )
@@ -51,6 +52,7 @@ from mr_damper_ros.estimation.local_search import (
 from mr_damper_ros.estimation.observability import (
     SURE,
     current_varies,
+    determination_of,
     operating_points_within,
     parameter_ranges,
     parameter_spans,
@@ -281,7 +283,9 @@ class GlobalFit:
     before its end. ``levels``: the prior of the record levels, None without record levels.
     ``spread`` (2, c): standard deviation of the coefficients of single windows about the laws,
     beyond their errors, relative to their sizes (:func:`coefficient_sizes`) [1]; then what is added
-    to it in squares per e-fold of frequency away from ``frequency`` [Hz].
+    to it in squares per e-fold of frequency away from ``frequency`` [Hz]. ``only_with``: the
+    parameters that the windows determine only jointly with the named others. Their variances hold
+    for fixed values of the others, so the set gives no standard error for them.
     """
 
     parameter_set: ParameterSet
@@ -298,6 +302,7 @@ class GlobalFit:
     levels: LevelPrior | None = None
     spread: Array = field(default_factory=lambda: np.zeros((2, 1)))
     frequency: float = 1.0
+    only_with: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def coefficients(
         self, operating_point: tuple[float, float], frequency: float = math.nan
@@ -322,7 +327,7 @@ class GlobalFit:
         near, growth = self.spread * sizes
         spread = near**2 + (growth * math.log(frequency / self.frequency)) ** 2
         errors, discrepancies = (
-            np.sqrt(np.einsum("cp,pq,cq->c", gradient, each[block], gradient) + spread)
+            np.sqrt(np.einsum("cp,pq,cq->c", gradient, each[block], gradient).clip(0.0) + spread)
             for each in (self.covariance, self.discrepancy)
         )
         return coefficients, errors, discrepancies
@@ -339,7 +344,8 @@ class GlobalFit:
         # The force of a fit is orthogonal to the residual, and so smaller than the measured force.
         squares = np.mean(self.nrmse**2 / np.maximum(1.0 - self.nrmse**2, _TINY))
         left = float(squares * np.var(model.window_force(window, values)))
-        return np.asarray(np.sqrt(by_parameters + left))
+        # Rounding may make the first part slightly negative.
+        return np.asarray(np.sqrt(np.maximum(by_parameters, 0.0) + left))
 
     def misfit(self, windows: Sequence[Window]) -> Misfit:
         """The misfit that the search of the set minimised."""
@@ -720,8 +726,7 @@ class GlobalSearch:
             level = noise_level(misfit.residual(self.best))
             factor = triangular_factor(misfit.jacobian(self.best, places.tolist()) / level)
             spans = parameter_spans(self.model, factor, self.best, self._ranges, places.tolist())
-            information = (factor * width).T @ (factor * width)
-            errors = np.sqrt(np.diag(np.linalg.inv(information + np.eye(places.size))))
+            errors = np.linalg.norm(prior_root(factor * width), axis=1)
             known[places] = errors < np.minimum(spans / width, _MORE_THAN_PRIOR)
         return known
 
@@ -819,13 +824,25 @@ class GlobalSearch:
         if free.any():
             block = np.ix_(free, free)
             covariance[block], discrepancy[block] = self._errors(misfit, free)
-            errors[free] = np.sqrt(np.diag(covariance[block]))
+            errors[free] = np.sqrt(np.diag(covariance[block]).clip(min=0.0))
+            lost = np.isnan(np.diag(covariance))
+            covariance[lost] = covariance[:, lost] = 0.0
         parameter_set = self.parameter_set(errors, np.sqrt(np.diag(discrepancy)), method)
+        known = self._excerpts.misfit(self.noise, self.levels, best)
+        only_with = determination_of(known, self.windows, best).partners(
+            dict(zip(self.model.parameter_names, errors.tolist(), strict=True))
+        )
+        joint = self._marked(only_with)
         spread, frequency = self._spread(free)
         errors_of_set = [error_of_set(parameter_set, [window]) for window in self.windows]
         shortcoming = self.shortcoming or self._unrepresented()
         return GlobalFit(
-            parameter_set=replace(parameter_set, nrmse=pooled(errors_of_set).nrmse),
+            parameter_set=replace(
+                parameter_set,
+                nrmse=pooled(errors_of_set).nrmse,
+                standard_errors=np.where(joint, math.nan, parameter_set.standard_errors),
+                discrepancies=np.where(joint, math.nan, parameter_set.discrepancies),
+            ),
             covariance=covariance,
             discrepancy=discrepancy,
             nrmse=np.array([error.nrmse for error in errors_of_set]),
@@ -839,6 +856,7 @@ class GlobalSearch:
             levels=self.levels,
             spread=spread,
             frequency=frequency,
+            only_with=only_with,
         )
 
     def _unrepresented(self) -> str:

@@ -82,21 +82,28 @@ class LawChoice:
     """The laws compared, best first.
 
     ``left_out``: the unit of cross-validation in one word; ``sinusoids``: whether all motions are
-    sinusoids.
+    sinusoids; ``untried``: names of the laws that were not compared, because the comparison was
+    stopped.
     """
 
     trials: tuple[LawTrial, ...]
     left_out: str
     sinusoids: bool = False
+    untried: tuple[str, ...] = ()
 
     @property
     def best(self) -> LawTrial:
-        """The law with the lowest validation error."""
+        """The law with the lowest validation error of those compared."""
         return self.trials[0]
 
     @property
-    def chosen(self) -> LawTrial:
-        """The simplest law that is as good as the best one, by the one-standard-error rule."""
+    def chosen(self) -> LawTrial | None:
+        """The simplest law that is as good as the best one, by the one-standard-error rule.
+
+        None if a law was not compared.
+        """
+        if self.untried:
+            return None
         negligible = (math.sqrt(AS_GOOD) - 1.0) * self.best.nrmse
         compared = [(trial, *trial.behind(self.best)) for trial in self.trials]
         good = [trial for trial, behind, error in compared if behind <= max(error, negligible)]
@@ -117,16 +124,22 @@ class LawChoice:
             behind, error = trial.behind(self.best)
             told = "" if trial is self.best else f"{behind:+.2%} ± {error:.2%}"
             lines.append(f"{name} {trial.nrmse:>8.2%} {told:>20}".rstrip())
-        if self.best.nrmse > GOOD_NRMSE:
+        lines += [f"{name:<22} {'not compared':>19}" for name in self.untried]
+        chosen = self.chosen
+        if chosen is None:
             lines.append(
-                f"NO LAW PREDICTS THE DATA LEFT OUT: {self.chosen.model} is used, but the choice "
+                "NO LAW IS CHOSEN: the comparison was stopped before it had covered all laws."
+            )
+        elif self.best.nrmse > GOOD_NRMSE:
+            lines.append(
+                f"NO LAW PREDICTS THE DATA LEFT OUT: {chosen.model} is used, but the choice "
                 "is uncertain; add runs at more amplitudes, frequencies and currents."
             )
-        elif self.chosen is self.best:
+        elif chosen is self.best:
             lines.append(f"The data support {self.best.model}.")
         else:
             lines.append(
-                f"The data support {self.chosen.model}: the advantage of {self.best.model}, which "
+                f"The data support {chosen.model}: the advantage of {self.best.model}, which "
                 "has more parameters, is within one standard error, or negligible."
             )
         if self.sinusoids:
@@ -147,8 +160,8 @@ def cross_validate(
     """Compare force laws by cross-validation over the runs, each a sequence of windows.
 
     ``models`` are names of laws; ``settings`` apply to the global identification. ``report``
-    receives the progress and may stop the comparison, which then covers the finished laws. The
-    result does not depend on the number of ``processes``.
+    receives the progress and may stop the comparison, which then covers the finished laws and
+    chooses none. The result does not depend on the number of ``processes``.
 
     Raises ValueError if there are too few data for cross-validation, for an unknown law, and if the
     comparison was stopped before any law was finished.
@@ -179,7 +192,9 @@ def cross_validate(
         )
     sinusoids = all(not math.isnan(window.motion.frequency) for run in runs for window in run)
     best_first = sorted(trials, key=lambda trial: trial.nrmse)
-    return LawChoice(tuple(best_first), left_out, sinusoids)
+    compared = {trial.model for trial in trials}
+    untried = tuple(name for name in models if name not in compared)
+    return LawChoice(tuple(best_first), left_out, sinusoids, untried)
 
 
 def folds(runs: Sequence[Sequence[Window]]) -> tuple[str, list[Fold]]:

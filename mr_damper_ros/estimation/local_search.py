@@ -162,6 +162,7 @@ class LocalSearch(Generic[P]):
             self.best, self.best_cost = unknowns, cost
         return cost
 
+    @np.errstate(over="ignore", invalid="ignore")  # a cost that overflows is never accepted
     def nelder_mead(self) -> None:
         """Nelder-Mead from the best unknowns."""
         from scipy import optimize  # imported late: see entry_points
@@ -190,6 +191,7 @@ class LocalSearch(Generic[P]):
             },
         )
 
+    @np.errstate(over="ignore", invalid="ignore")
     def least_squares(
         self,
         weights: Array | None = None,

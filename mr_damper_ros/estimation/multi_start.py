@@ -71,8 +71,10 @@ class MultiStart:
         sets = np.array([self.fits[seed].parameter_set.values for seed in self.as_good])
         if len(sets) < 2:
             return np.full(sets.shape[1], math.nan)
-        errors = self.best.parameter_set.standard_errors
-        return np.asarray(np.where(np.isfinite(errors), np.ptp(sets, axis=0) / errors, 0.0))
+        errors = np.sqrt(np.diag(self.best.covariance))
+        return np.divide(
+            np.ptp(sets, axis=0), errors, out=np.zeros_like(errors), where=errors > 0.0
+        )
 
 
 @dataclass(eq=False)
@@ -191,7 +193,10 @@ def identify_from_seeds(
 
 
 _ARRAYS = ("covariance", "discrepancy", "nrmse", "noise", "spread")
-_FIELDS = (*_ARRAYS, "evaluations", "success", "message", "stopped", "cost", "frequency")
+_FIELDS = (
+    *(*_ARRAYS, "evaluations", "success", "message", "stopped", "cost", "frequency"),
+    "only_with",
+)
 """Fields of a fit that a record stores unchanged, arrays first."""
 
 

@@ -25,10 +25,12 @@ from mr_damper_ros.estimation.covariance import (
     DETERMINED,
     SAME_MOTION,
     group_numbers,
+    noise_level,
     triangular_factor,
 )
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.quantities import CURRENT_READING, NOTICED
 from mr_damper_ros.signals.arrays import Array
 
@@ -157,6 +159,17 @@ def parameter_spans(
         if (name := model.parameter_names[place]) in ranges:
             spans[k] = ranges[name][1] - ranges[name][0]
     return np.asarray(np.where(spans > 0.0, spans, 1.0))
+
+
+def determination_of(misfit: Misfit, windows: Sequence[Window], parameters: Array) -> Determination:
+    """The combinations of parameters that windows determine, linearised about a set (p,).
+
+    ``misfit`` may hold thinned windows, which may lack the extremes of ``windows``.
+    """
+    model = misfit.model
+    jacobian = misfit.jacobian(parameters) / noise_level(misfit.residual(parameters))
+    spans = parameter_spans(model, jacobian, parameters, parameter_ranges(model, windows))
+    return determination(model, jacobian, spans, parameters)
 
 
 def determination(model: Model, jacobian: Array, spans: Array, parameters: Array) -> Determination:

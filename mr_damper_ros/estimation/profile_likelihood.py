@@ -99,7 +99,7 @@ class ProfileLikelihood:
             variances = np.diag(least_squares_covariance(seen, residual, misfit.prior_variances))
             freedom = max(residual.size - variances.size, 1)
             white = np.diag(normal_inverse(seen)) * float(residual @ residual) / freedom
-            known = np.isfinite(variances)
+            known = np.isfinite(variances) & (variances > 0.0)
             places = np.flatnonzero(observable)[known]
             self._errors[places] = np.sqrt(variances[known])
             shrinkage[places] = white[known] / variances[known]
@@ -198,8 +198,8 @@ def _roots(costs: ArrayLike, scale: float) -> Array:
     """Roots (m,) of the likelihood ratios at these costs (m,)."""
     every = np.asarray(costs, dtype=float)
     rise = every - every.min()
-    # Without noise, any increase of the cost is infinitely unlikely.
-    least = max(float(every.min()), np.finfo(float).tiny)
+    # Without noise, any increase of the cost is extremely unlikely.
+    least = max(float(every.min()), 1e-24)
     return np.asarray(np.sqrt(scale * rise / least))
 
 
@@ -213,6 +213,13 @@ def _crossing(values: Array, roots: Array, otherwise: float) -> float:
     return float(values[last - 1] + part * (values[last] - values[last - 1]))
 
 
+def check_profiled(names: Sequence[str], known: Sequence[str]) -> None:
+    """Raise ValueError for a parameter to profile that is not among the ``known`` ones."""
+    for name in names:
+        if name not in known:
+            raise ValueError(f"there is no parameter '{name}' to profile: use {', '.join(known)}")
+
+
 def profiles_of(
     fit: GlobalFit,
     windows: Sequence[Window],
@@ -224,13 +231,8 @@ def profiles_of(
 
     Raises ValueError for a name that the law does not have.
     """
-    law = fit.parameter_set.law
-    for name in names:
-        if name not in law.parameter_names:
-            raise ValueError(
-                f"there is no parameter '{name}' to profile: use {', '.join(law.parameter_names)}"
-            )
-    found = fit.parameter_set
+    found, law = fit.parameter_set, fit.parameter_set.law
+    check_profiled(names, law.parameter_names)
     # The ranges of thinned windows, as in the misfit, may lack the extremes.
     likelihood = ProfileLikelihood(
         fit.misfit(windows), found.values, found.observable, parameter_ranges(law, windows)

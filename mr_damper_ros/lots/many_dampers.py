@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -378,5 +379,6 @@ def _row(document: Mapping[str, Any]) -> dict[str, Any]:
     }
     for name, entry in parameter_estimates(found).items():
         row[name] = entry.value
-        row[f"{name}_standard_error"] = entry.standard_error if entry.observable else None
+        error = entry.standard_error
+        row[f"{name}_standard_error"] = error if math.isfinite(error) else None
     return row

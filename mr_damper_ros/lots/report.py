@@ -185,9 +185,10 @@ def _parameters(population: Population) -> _Part:
             continue
         values = np.array([s.values[place] for s in seen])
         middle = float(np.median(values))
-        error = float(np.nanmedian([s.standard_errors[place] for s in seen]))
+        # A value that is determined only jointly with others has no standard error.
+        errors = [s.standard_errors[place] for s in seen if s.standard_errors[place] > 0.0]
         low, high = np.quantile(values, (0.05, 0.95)).tolist()
-        told = with_error(middle, error) if error > 0.0 else middle
+        told = with_error(middle, float(np.median(errors))) if errors else middle
         rows.append((parameter.name, parameter.unit, len(seen), told, low, high))
     columns = "parameter | unit | dampers | median ± own error | 5 % | 95 %"
     caption = "For each parameter, only the dampers whose data determine it."

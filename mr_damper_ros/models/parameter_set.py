@@ -101,8 +101,9 @@ class ParameterSet:
     the part of the standard errors that comes from model error, NaN if unknown. The square root of
     standard_errors² - discrepancies² is the scatter between windows of the same motion.
     ``observable`` (p,) marks the parameters that the data determined; the others kept their start
-    values. ``peak_velocity_range`` [m/s] and ``current_range`` [A] span the data that were used;
-    ``nrmse`` is RMSE/std of the force; ``stamp_ns`` is the time of the last sample used.
+    values. A parameter that the data determined only jointly with others is observable and has no
+    standard error. ``peak_velocity_range`` [m/s] and ``current_range`` [A] span the data that were
+    used; ``nrmse`` is RMSE/std of the force; ``stamp_ns`` is the time of the last sample used.
     ``largest_force`` [N] is the largest force in these data, NaN if unknown.
 
     Raises ParameterError for an unknown model, wrong shapes, values that are not finite or out of

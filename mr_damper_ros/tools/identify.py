@@ -34,7 +34,7 @@ _OPTIONS = (
 _EPILOG = f"""\
 Exit code: 0: success; {EXPLAINS_TOO_LITTLE}: the NRMSE of a run exceeds
 {100 * LARGEST_RUN_NRMSE:.0f} %, all results are written; {console.FAILED}: a bag or an option
-cannot be used; {console.INTERRUPTED}: Ctrl-C was pressed twice.
+cannot be used; {console.INTERRUPTED}: Ctrl-C was pressed twice, or after the search.
 """
 
 
@@ -64,20 +64,19 @@ def _identify(options: argparse.Namespace) -> int:
     with console.ProgressLine() as progress:
         given = console.arguments_of(options, identify)
         result = identify(options.bags, report=progress, **given)
-        more = Findings([], {})
-        # After Ctrl-C the user wants the result at once, without another long computation.
-        if not progress.stopped:
-            more += result.determination(
-                **console.arguments_of(options, Identification.determination)
-            )
-        more += searches(result.searches)
-        more += result.profiles
-    if not progress.stopped:
-        more += result.temperature_maps()
-    print(result)
-    print(more)
+    # The result comes first, so that nothing that follows can lose it.
     if options.output is not None:
         result.save(options.output)
+    print(result, flush=True)
+    more = Findings([], {})
+    # After Ctrl-C the user wants the result at once, without another long computation.
+    if not progress.stopped:
+        more += result.determination(**console.arguments_of(options, Identification.determination))
+    more += searches(result.searches)
+    more += result.profiles
+    if not progress.stopped:
+        more += result.temperature_maps()
+    print(more)
     console.write_result(options, result.document() | more.document, result.runs)
     return 0 if result.explains else EXPLAINS_TOO_LITTLE
 

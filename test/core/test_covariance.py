@@ -12,6 +12,7 @@ from mr_damper_ros.estimation.covariance import (
     discrepancy_between,
     least_squares_covariance,
     motion_numbers,
+    prior_root,
 )
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
@@ -40,6 +41,20 @@ def test_what_is_unknown_leaves_the_others_alone_where_the_residual_is_correlate
     rest = np.delete(np.delete(covariance, 1, axis=0), 1, axis=1)
     expected = least_squares_covariance(jacobian, residual)
     np.testing.assert_allclose(rest, expected, rtol=0.01)
+
+
+def test_the_root_with_a_prior_is_that_of_the_covariance() -> None:
+    jacobian = np.random.default_rng(0).normal(size=(50, 3)) * np.array([1.0, 1e-3, 1e4])
+    root = prior_root(jacobian)
+    expected = np.linalg.inv(np.eye(3) + jacobian.T @ jacobian)
+    np.testing.assert_allclose(root @ root.T, expected, rtol=1e-6)
+
+
+def test_what_rounding_hides_keeps_its_prior() -> None:
+    # The data determine only the sum of the first two, far better than doubles resolve.
+    jacobian = 1e25 * np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0]])
+    errors = np.linalg.norm(prior_root(jacobian), axis=1)
+    np.testing.assert_allclose(errors, [math.sqrt(0.5), math.sqrt(0.5), 1.0], rtol=1e-12)
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.8, 0.95])
@@ -158,7 +173,7 @@ def fitted(spread: float, trend: float = 0.0) -> GlobalFit:
 def test_a_set_tells_of_motions_that_disagree_and_of_none_that_agree() -> None:
     place = MODELS["bingham"].parameter_names.index("f_y")
     found = [
-        fit.parameter_set.discrepancies[place] / abs(fit.parameter_set.values[place])
+        math.sqrt(fit.discrepancy[place, place]) / abs(fit.parameter_set.values[place])
         for fit in (fitted(0.0), fitted(LEVELS))
     ]
     assert found[1] > LEVELS / math.sqrt(8) / 2.0 > found[0]

@@ -153,6 +153,22 @@ def test_the_result_tells_coefficients_and_parameters_with_their_errors(
     assert outside.remark == "OUT OF RANGE: current 0.5 A, but the set holds for 1.5 A"
 
 
+def test_the_file_is_not_more_certain_than_the_table(result: mr.Identification) -> None:
+    stored = yaml.safe_load(result.parameter_set.to_yaml())["parameters"]
+    document = result.document()
+    for name, entry in result.parameters.items():
+        error = None if math.isnan(entry.standard_error) else entry.standard_error
+        assert stored[name]["standard_error"] == document["standard_errors"][name] == error
+        assert stored[name]["observable"] is document["observable"][name] is entry.observable
+    assert stored["f0"] | {"value": 0.0} == {
+        "value": 0.0,
+        "unit": "N",
+        "standard_error": None,
+        "discrepancy": None,
+        "observable": True,
+    }
+
+
 def test_terminal_file_and_document_tell_one_nrmse(
     result: mr.Identification, tmp_path: Path
 ) -> None:
@@ -178,6 +194,13 @@ def test_the_law_that_the_runs_support_can_be_asked_for(monkeypatch: pytest.Monk
     found = mr.identify(RUN, model="auto")
     assert found.parameter_set.model == found.choice.chosen.model
     assert str(found).startswith("NRMSE on segments that were left out")
+
+
+def test_a_stopped_comparison_of_laws_identifies_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    two = partial(identification.cross_validate, models=("bingham", "hyperbolic_tangent"))
+    monkeypatch.setattr(identification, "cross_validate", two)
+    with pytest.raises(ValueError, match=r"stopped before hyperbolic_tangent \(NRMSE on segments"):
+        mr.identify(RUN, model="auto", report=lambda news: "hyperbolic" not in news.stage)
 
 
 # -- parameter files and the other laws ----------------------------------------------------------
