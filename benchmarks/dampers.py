@@ -20,7 +20,8 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 
 
-def _damper(model: str, **values: float) -> ParameterSet:
+def damper(model: str, **values: float) -> ParameterSet:
+    """A damper of a law of the package; parameters that are not given are 0."""
     names = MODELS[model].parameter_names
     defaults = dict.fromkeys(names, 0.0)
     return ParameterSet(
@@ -30,7 +31,7 @@ def _damper(model: str, **values: float) -> ParameterSet:
 
 DAMPERS = {
     # 888 N at 5 mm, 1 Hz, 1.5 A.
-    "viscous_tanh": _damper(
+    "viscous_tanh": damper(
         "hyperbolic_tangent",
         c=2600.0,
         c_1=800.0,
@@ -43,7 +44,7 @@ DAMPERS = {
         coil_time_constant=0.01,
     ),
     # A stiff damper of 1.3 kN, whose loop is rounded by the dashpot in series.
-    "modified_bouc_wen": _damper(
+    "modified_bouc_wen": damper(
         "modified_bouc_wen",
         c0=2500.0,
         c0_1=1.2,
@@ -61,7 +62,7 @@ DAMPERS = {
         coil_time_constant=0.02,
     ),
     # A small damper of 400 N with a high gas pressure: stiffness and offset.
-    "bouc_wen": _damper(
+    "bouc_wen": damper(
         "bouc_wen",
         c0=1500.0,
         c0_1=0.8,

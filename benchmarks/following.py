@@ -398,7 +398,7 @@ _STATE_LAW, _COILS = "series_springs", (5e-3, 20e-3)
 """The law, and the time constants [s] of the coils."""
 
 _RATE = 500.0
-_TRUTH = ParameterSet(
+STATE_DAMPER = ParameterSet(
     np.array(
         [600.0, 4e-3, 2500.0, 1e7, 0.3, 1e6, 1500.0, -20.0]
         + [3.0, -0.6, 0.0, 0.5, 0.8, 0.0, 0.0, 0.01]
@@ -451,7 +451,7 @@ def worker_shares(law: str, start: float, duration: float) -> tuple[float, float
     and global identifications, six in the first half minute and later one after every twenty
     windows that fit.
     """
-    rig = EmulatedRig(EmulatedDamper(_TRUTH), random_motion(4e-3, 0.3, 3.0, duration, 1), 1.0)
+    rig = EmulatedRig(EmulatedDamper(STATE_DAMPER), random_motion(4e-3, 0.3, 3.0, duration, 1), 1.0)
     engine = Engine(EngineSettings().for_law(law))
     at_start = 0.0
     for block, _ in engine.follow(stream_of(rig.record(duration), 10)):
@@ -467,7 +467,7 @@ def state_law_figures(half: float = 20.0, start: float = 40.0, duration: float =
     laws = ("sigmoid", "sigmoid_lag", _STATE_LAW, "bouc_wen")
     shares = [worker_shares(law, start, duration) for law in laws]
     return {
-        "law_us_per_sample": microseconds_per_sample(_TRUTH, switched_halves(0.01)[0]),
+        "law_us_per_sample": microseconds_per_sample(STATE_DAMPER, switched_halves(0.01)[0]),
         "switched_current_nrmse": [100.0 * nrmse for nrmse, _ in found],
         "switched_current_lag_error": [
             100.0 * abs(lag / coil - 1.0) for (_, lag), coil in zip(found, _COILS, strict=True)

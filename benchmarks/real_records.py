@@ -7,6 +7,7 @@ studies are run first, and take up what they have stored for the same code.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 from benchmarks.figure import Measured, Value
 from mr_damper_ros.api.replay import replay
 from mr_damper_ros.io.records import read_runs
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.sigmoid.following import EXTENDED_MODEL
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import Recording
@@ -22,6 +24,7 @@ from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.engine import EngineSettings
 from studies import recordings
 from studies.__main__ import STUDIES
+from studies.truth.records import judge_records
 
 # -- what the studies write ------------------------------------------------------------------------
 
@@ -34,8 +37,9 @@ _ONE_SET = (
 )
 """Laws of ``utfsm_<name>_nrmse``, besides "sixteen" and "extended"."""
 
-_EARTHQUAKES = {"fit": EXTENDED_MODEL, "springs_fit": "series_springs", "sixteen_fit": "sigmoid"}
-"""Laws of ``earthquake_static_<name>`` and ``earthquake_online_<name>``."""
+_ONLINE = {"fit": EXTENDED_MODEL, "springs_fit": "series_springs"}
+_STATIC = {**_ONLINE, "sixteen_fit": "sigmoid"}
+"""Laws of ``earthquake_online_<name>`` and ``earthquake_static_<name>``."""
 
 
 def document(study: str, quick: bool) -> tuple[dict[str, Any], str]:
@@ -76,8 +80,8 @@ def truth_figures(quick: bool = False) -> Measured:
         found[f"utfsm_left_out_{name}_nrmse"] = both
         medians += both[:1] if both else []
     found["utfsm_left_out"] = min(medians, default=None)
-    for kind in ("static", "online"):
-        for name, law in _EARTHQUAKES.items():
+    for kind, shaken in (("static", _STATIC), ("online", _ONLINE)):
+        for name, law in shaken.items():
             found[f"earthquake_{kind}_{name}"] = told(law, f"earthquake_{kind}_fit")
     static = [told(law, "earthquake_static_fit") for law in _LAWS.values()]
     means = [float(np.mean(fits)) for fits in static if fits]
@@ -158,7 +162,7 @@ def cold_start_figures(seed: int = 0) -> Measured:
     return {"cold_start_windows": found}
 
 
-# -- the original files ----------------------------------------------------------------------------
+# -- on line, from the set of the processed records ------------------------------------------------
 
 _RAW_COLUMNS = "-,time:datetime,force:980.665*N,displacement:10*mm"
 _RAW_CURRENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -168,3 +172,34 @@ def raw_records(utfsm: Path) -> list[Recording]:
     """The runs in the original files of the logger."""
     paths = sorted((utfsm / "raw").glob("ME*.txt"))
     return [run for path in paths for run in read_runs(path, _RAW_COLUMNS, currents=_RAW_CURRENTS)]
+
+
+def _fit_and_valid(record: Recording, known: ParameterSet) -> tuple[float, float]:
+    """Fit 1 - NRMSE of the predicted force and share of valid samples, in motion [%]."""
+    said = replay(record, known, settings=EngineSettings().for_law(known.model))
+    moving = slice(_start_of_motion(record), None)
+    error = recordings.rms(said.predicted[moving] - record.force[moving])
+    fit = 1.0 - error / float(np.std(record.force[moving]))
+    return 100.0 * fit, 100.0 * float(np.mean(said.valid[moving]))
+
+
+def online_figures(
+    laws: Sequence[str] = ("sigmoid", EXTENDED_MODEL, "series_springs"),
+    longest: float = 100.0,
+    seed: int = 0,
+) -> Measured:
+    """The raw sinusoids by each law, and the earthquakes by the first, at most ``longest`` [s]."""
+    keys = ("raw_sines_online_fit", "raw_sines_online_valid_percent")
+    place = recordings.folder()
+    if place is None:
+        return dict.fromkeys((*keys, "earthquake_online_sixteen_fit"), (None, recordings.NONE))
+    sets = [judge_records(law, None, place, 1)["set"] for law in laws]
+    sines = [_from_rest(record, seed) for record in raw_records(place)]
+    found = [np.mean([_fit_and_valid(record, known) for record in sines], axis=0) for known in sets]
+    fits = []
+    for whole in recordings.unsmoothed_earthquakes(place):
+        record = recordings.cut(_from_rest(whole, seed), slice(0, round(longest / whole.period)))
+        force = replay(record, sets[0], block_size=20).predicted
+        fits.append(recordings.fit_percent(record, force))
+    fit, valid = np.transpose(found).tolist()
+    return {keys[0]: fit, keys[1]: valid, "earthquake_online_sixteen_fit": fits}
