@@ -157,7 +157,6 @@ setup(
         "PyYAML>=6.0",
         "rosbags>=0.11.9",
         "scipy>=1.11",
-        "threadpoolctl>=3.1",
     ],
     extras_require={
         "test": ["pytest"],

@@ -18,10 +18,12 @@ import signal
 import sys
 from collections.abc import Callable
 from contextlib import closing
-from functools import partial
+from functools import partial, wraps
 from importlib import import_module
 from importlib.util import find_spec
 from types import FrameType
+
+from mr_damper_ros.processes.dependencies import missing_dependency
 
 _WORK = {
     "identifier": "scipy.optimize mr_damper_ros.tracking.tracker",
@@ -38,18 +40,25 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _INTERRUPTED, _TERMINATED = 130, 143
 """Exit codes after Ctrl-C and after SIGTERM, by the convention of shells."""
 
-_MISSING = {
-    "mr_damper_msgs": "The package mr_damper_msgs is missing: build it too (in a workspace: ln -s "
-    "mr_damper_ros/msg_defs src/mr_damper_msgs, then colcon build) and source install/setup.bash.",
-    "rclpy": "ROS 2 is missing: source the setup.bash of ROS 2 Jazzy, or env.bash of this clone.",
-    **{
-        name: f"The Python package {name} is missing: rosdep install installs it."
-        for name in ("rosbags", "threadpoolctl")
-    },
-}
-"""Message for each module that may be missing."""
+
+def _explained(run: Callable[[str], int]) -> Callable[[str], int]:
+    """The function, which returns 2 after one sentence if a dependency is missing at any depth."""
+
+    @wraps(run)
+    def guarded(name: str) -> int:
+        try:
+            return run(name)
+        except ModuleNotFoundError as error:
+            sentence = missing_dependency(error)
+            if not sentence:
+                raise
+            sys.stderr.write(f"{name}: {sentence}\n")
+            return 2
+
+    return guarded
 
 
+@_explained
 def tool(name: str) -> int:
     """Run the module of this name in the package ``tools``; returns its exit code."""
     # A background process of a shell ignores Ctrl-C, and must continue to ignore it.
@@ -66,6 +75,7 @@ def tool(name: str) -> int:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
+@_explained
 def _run(name: str) -> int:
     """Run a node, or one node in each of several namespaces with shared workers."""
     if name == "live" and any(word.partition("=")[0] == "--bag" for word in sys.argv[1:]):
@@ -85,15 +95,7 @@ def _run(name: str) -> int:
 
 
 def _run_node(name: str, *arguments: object) -> int:
-    try:
-        node = import_module(f"mr_damper_ros.nodes.{name}_node")
-    except ModuleNotFoundError as error:
-        # Without ROS, several modules are missing, and rclpy may not be the first of them.
-        missing = (error.name or "").partition(".")[0] if find_spec("rclpy") else "rclpy"
-        if missing not in _MISSING:
-            raise
-        print(_MISSING[missing], file=sys.stderr)
-        return 2
+    node = import_module(f"mr_damper_ros.nodes.{name}_node")
     try:
         code: int = node.main(*arguments)
         sys.stdout.flush()

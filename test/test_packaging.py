@@ -10,6 +10,8 @@ from xml.etree import ElementTree
 
 import pytest
 
+from mr_damper_ros.processes.dependencies import missing_dependency
+
 ROOT = Path(__file__).resolve().parent.parent
 PROGRAMS = (
     *("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply"),
@@ -80,18 +82,38 @@ def test_one_version_everywhere():
     assert heading[1] == version
 
 
-KEYS = {
-    "matplotlib": "python3-matplotlib",
-    "mpl_toolkits": "python3-matplotlib",
-    "numpy": "python3-numpy",
-    "rosbags": "python3-rosbags-pip",
-    "scipy": "python3-scipy",
-    "threadpoolctl": "python3-threadpoolctl",
-    "yaml": "python3-yaml",
-}
-"""rosdep keys of packages outside ROS; the others are named like their modules."""
+ROSDEP = ROOT / "test" / "rosdep_noble_jazzy.txt"
+"""Keys that rosdep knows; the file says where they come from."""
 
-OPTIONAL = {"cma", "distributed", "nptdms", "numba", "openpyxl", "pyarrow", "pyvisa", "serial"}
+
+def rosdep_keys() -> set[str]:
+    lines = ROSDEP.read_text(encoding="utf-8").splitlines()
+    return {line for line in lines if not line.startswith("#")}
+
+
+def keys_in(path: Path, *tags: str) -> set[str]:
+    """Keys in a package.xml, of the dependencies of these kinds or of all kinds."""
+    root = ElementTree.parse(path).getroot()
+    return {
+        element.text or ""
+        for element in root
+        if (element.tag in tags if tags else element.tag.endswith("depend"))
+    }
+
+
+@pytest.mark.parametrize("name", ["package.xml", "msg_defs/package.xml"])
+def test_rosdep_resolves_every_key(name):
+    """One unknown key stops ``rosdep install`` before it installs anything."""
+    assert keys_in(ROOT / name) - rosdep_keys() - {"mr_damper_msgs"} == set()
+
+
+def key_of(module: str) -> str:
+    """The rosdep key of a module: that of a Python package or the name of a package of ROS."""
+    candidates = (f"python3-{module}", f"python3-{module}-pip")
+    return next((key for key in candidates if key in rosdep_keys()), module)
+
+
+OPTIONAL = {"distributed", "nptdms", "numba", "openpyxl", "pyarrow", "pyvisa"}
 """Optional packages."""
 
 BROUGHT_BY_ROSBAGS = {"lz4", "backports", "compression"}
@@ -111,27 +133,63 @@ def imported_modules() -> set[str]:
     return names - set(sys.stdlib_module_names) - {"mr_damper_ros"}
 
 
+def needed_modules() -> set[str]:
+    """Modules that are imported and not optional."""
+    return imported_modules() - OPTIONAL - BROUGHT_BY_ROSBAGS
+
+
 def test_package_xml_names_everything_that_is_imported():
-    root = ElementTree.parse(ROOT / "package.xml").getroot()
-    named = {element.text for tag in ("depend", "exec_depend") for element in root.iter(tag)}
-    needed = {
-        KEYS.get(module, module) for module in imported_modules() - OPTIONAL - BROUGHT_BY_ROSBAGS
-    }
+    named = keys_in(ROOT / "package.xml", "depend", "exec_depend")
+    needed = {key_of(module) for module in needed_modules()}
     assert needed <= named
     # ros2launch is the command that starts the launch files.
     assert named - needed == {"ros2launch"}
 
 
-DISTRIBUTIONS = {"mpl_toolkits": "matplotlib", "yaml": "PyYAML"}
+DISTRIBUTIONS = {"yaml": "PyYAML"}
 """pip names that differ from the module names."""
 
 
+def python_packages() -> dict[str, str]:
+    """Modules outside ROS that are needed, with their pip names."""
+    found = (name for name in needed_modules() if key_of(name).startswith("python3-"))
+    return {name: DISTRIBUTIONS.get(name, name) for name in found}
+
+
 def test_a_wheel_requires_everything_that_is_imported_without_ros():
-    needed = {DISTRIBUTIONS.get(name, name) for name in imported_modules() & set(KEYS)}
     text = (ROOT / "setup.py").read_text(encoding="utf-8")
     required = re.search(r"install_requires=\[(.*?)\]", text, re.DOTALL)
     assert required
-    assert set(re.findall(r'"(\w+)', required[1])) == needed
+    assert set(re.findall(r'"(\w+)', required[1])) == set(python_packages().values())
+
+
+def test_the_pip_lines_of_optional_packages_are_those_of_the_extras():
+    texts = [*(ROOT / "doc").rglob("*.md"), *(ROOT / "mr_damper_ros").rglob("*.py")]
+    told = {
+        version
+        for path in texts
+        for version in re.findall(r"[\w.-]+==[\d.]*\d", path.read_text(encoding="utf-8"))
+    }
+    text = (ROOT / "setup.py").read_text(encoding="utf-8")
+    optional = re.search(r"extras_require=\{(.*?)\}", text, re.DOTALL)
+    assert optional
+    assert told == set(re.findall(r'"([\w-]+==[\d.]+)"', optional[1]))
+
+
+def test_a_missing_python_package_is_named_with_its_pip_line():
+    for module, package in python_packages().items():
+        sentence = missing_dependency(ModuleNotFoundError(name=f"{module}.part"))
+        assert f"`pip install {package}`" in sentence
+
+
+def test_a_missing_package_of_ros_is_named():
+    # The command ros2 launch, which imports the launch files, needs the other two itself.
+    for module in needed_modules() - python_packages().keys() - {"launch", "launch_ros"}:
+        assert module in missing_dependency(ModuleNotFoundError(name=module))
+
+
+def test_an_import_that_fails_for_another_reason_keeps_its_traceback():
+    assert missing_dependency(ModuleNotFoundError(name="mr_damper_ros.no_such_module")) == ""
 
 
 def test_a_link_to_the_messages_is_all_that_a_workspace_needs(tmp_path):

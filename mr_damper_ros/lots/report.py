@@ -35,7 +35,10 @@ _MOST_SHOWN = 100
 def require_parquet() -> None:
     """Raise ValueError if no Parquet file can be written."""
     if find_spec("pyarrow") is None:
-        raise ValueError("a Parquet file needs pyarrow: install it, or use the CSV file")
+        raise ValueError(
+            "a Parquet file needs pyarrow: install it (pip install pyarrow==26.0.1), or use the "
+            "CSV file"
+        )
 
 
 def write_rows(rows: Sequence[Mapping[str, Any]], folder: Path, *, parquet: bool = False) -> None:

@@ -15,6 +15,8 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from mr_damper_ros.processes.dependencies import missing_dependency
+
 T = TypeVar("T")
 
 
@@ -54,6 +56,8 @@ def named_errors(path: Path) -> Iterator[None]:
 
 def reason_of(error: BaseException) -> str:
     """An exception in words, for a user: of an error of the system the file and the remedy."""
+    if isinstance(error, ModuleNotFoundError) and (sentence := missing_dependency(error)):
+        return sentence
     if isinstance(error, OSError) and error.strerror:
         where = f"{error.filename}: " if error.filename else ""
         remedy = ": free space there (df -h lists all disks and the shared memory /dev/shm)"

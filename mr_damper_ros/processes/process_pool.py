@@ -184,7 +184,7 @@ def dask_cluster(address: str) -> Workforce:
         from distributed import Client, KilledWorker
     except ImportError as error:
         raise ValueError(
-            "a scheduler was given, but Dask is not installed: install the package distributed"
+            "a scheduler was given, but Dask is not installed: pip install distributed==2026.8.0"
         ) from error
     try:
         client: Any = Client(address, set_as_default=False)

@@ -205,6 +205,8 @@ class _Process:
         while not self._inbox.empty():
             message = self._inbox.get_nowait()
             self._silence = 0.0
+            if isinstance(message, ModuleNotFoundError):
+                return message
             if message == _GONE:
                 return ChildProcessError("the worker process died")
             if message == _READY:
@@ -277,12 +279,16 @@ class WorkerPool:
     def supervise(self, patience: float = 0.0) -> None:
         """Supervise all processes, and assign free ones to waiting tasks, ready ones first.
 
-        Waits at most ``patience`` [s] for a message of a process.
+        Waits at most ``patience`` [s] for a message of a process. Raises ModuleNotFoundError if
+        the modules need one that is not installed; once processes have been replaced, such a
+        process is replaced, too.
         """
         self._news.wait(patience)
         self._news.clear()
         for process in self._processes.copy():
             lost = process.follow(*self._limits)
+            if isinstance(lost, ModuleNotFoundError) and not self.replaced:
+                raise lost
             if lost is not None:
                 self._replace(process, lost)
         while len(self._processes) < self.count and time.monotonic() >= self._start_at:
@@ -393,10 +399,14 @@ class Worker:
 
 def serve(descriptor: str, modules: str) -> None:
     """Run tasks as the worker at this socket, until the socket closes."""
-    for name in modules.split():
-        import_module(name)
-    keep_one_thread(with_scipy=False)  # the modules have loaded SciPy if tasks need it
     connection = Connection(int(descriptor))
+    try:
+        for name in modules.split():
+            import_module(name)
+    except ModuleNotFoundError as error:
+        connection.send(error)
+        return
+    keep_one_thread(with_scipy=False)  # the modules have loaded SciPy if tasks need it
     tasks: queue.SimpleQueue[tuple[int, bytes]] = queue.SimpleQueue()
     stopped: set[int] = set()
 

@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 from mr_damper_ros.api.comparison import FORMATS, ComparedRun, save_figures
 from mr_damper_ros.api.identification import identify
 from mr_damper_ros.estimation.differential_evolution import GlobalProgress
+from mr_damper_ros.processes.dependencies import missing_dependency
 from mr_damper_ros.processes.files import reason_of, write_text
 
 Self = TypeVar("Self", bound="StatusLine")
@@ -43,8 +44,8 @@ def program(
     module; ``options`` adds the options of the program to a parser.
 
     A user error gives one sentence on standard error and exit code 2. User errors are ValueError
-    and its subclasses in this package, OSError, a lack of memory, and a missing ROS. Any other
-    exception is a fault of the program and keeps its traceback.
+    and its subclasses in this package, OSError, a lack of memory, and a missing dependency. Any
+    other exception is a fault of the program and keeps its traceback.
     """
     prog = name.rpartition(".")[2]
 
@@ -68,13 +69,9 @@ def program(
         except (MemoryError, OSError, ValueError) as error:
             sentence = reason_of(error)
         except ModuleNotFoundError as error:
-            missing = (error.name or "").partition(".")[0]
-            if missing not in ("rclpy", "ament_index_python") and not missing.endswith("_msgs"):
+            sentence = missing_dependency(error)
+            if not sentence:
                 raise
-            sentence = (
-                f"it needs ROS 2, but Python does not find {missing}: source the setup file of "
-                "the workspace in which this package was built, or env.bash of its folder"
-            )
         sys.stderr.write(f"{prog}: {sentence}\n")
         return FAILED
 

@@ -34,10 +34,11 @@ def failing(number: int, notify: Notify) -> int:
 
 
 def threads(*anything: object) -> int:
-    """Largest number of threads of any numerical library in this process."""
+    """Largest number of threads of any BLAS in this process; 0 if none has several."""
     from threadpoolctl import threadpool_info
 
-    return max(library["num_threads"] for library in threadpool_info())
+    libraries = (each for each in threadpool_info() if each["user_api"] == "blas")
+    return max((library["num_threads"] for library in libraries), default=0)
 
 
 def told(*arguments: str) -> None:

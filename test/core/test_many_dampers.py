@@ -206,7 +206,7 @@ def test_a_scheduler_needs_dask(
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
     given = [str(lot), "--columns", COLUMNS, "--output", str(tmp_path), "--scheduler", "tcp://x:1"]
     assert identify_many.main(given) == 2
-    assert "Dask is not installed: install the package" in capsys.readouterr().err
+    assert "Dask is not installed: pip install" in capsys.readouterr().err
 
 
 def test_a_cluster_of_dask_does_the_same(found: mr.ManyDampers, lot: Path, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -232,3 +233,43 @@ def test_a_task_cancelled_while_it_waits_ends_in_its_turn(pool: WorkerPool) -> N
     second.cancel()
     first.cancel()
     assert [ending(first), ending(second)] == [Done(number, "waited") for number in numbers]
+
+
+# -- modules that are not installed ----------------------------------------------------------------
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Path, WorkerPool]]:
+    """The file of a module that processes load first, and their pool, in which one is ready."""
+    monkeypatch.syspath_prepend(tmp_path)
+    file = tmp_path / "loaded_first.py"
+    file.write_text("", encoding="utf-8")
+    pool = WorkerPool(file.stem)
+    until(lambda: pool.supervise() or pool.ready, "a process")
+    yield file, pool
+    pool.close()
+
+
+LACKING = "import not_installed"
+
+
+def test_a_module_that_is_not_installed_is_the_error_of_the_parent(
+    module: tuple[Path, WorkerPool],
+) -> None:
+    file, _ = module
+    file.write_text(LACKING, encoding="utf-8")
+    with closing(WorkerPool(file.stem)) as pool, pytest.raises(ModuleNotFoundError) as caught:
+        until(lambda: pool.supervise(), "the error")
+    assert caught.value.name == "not_installed"
+
+
+def test_a_module_that_is_lost_later_does_not_end_the_parent(
+    module: tuple[Path, WorkerPool],
+) -> None:
+    file, pool = module
+    file.write_text(LACKING, encoding="utf-8")
+    pid = Worker(pool).pid
+    assert pid
+    os.kill(pid, signal.SIGKILL)
+    until(lambda: pool.supervise() or pool.replaced > 1, "a second replacement")
+    assert pool.notices[-1] == "No module named 'not_installed': the worker is replaced"

@@ -76,6 +76,28 @@ def test_a_missing_package_is_one_sentence_with_the_cure(
     assert cure in done.stderr
 
 
+@pytest.mark.parametrize("program", ["campaign", "identifier", "identify", "plan_run"])
+def test_a_package_that_an_import_at_any_depth_lacks_is_one_sentence(
+    program: str, tmp_path: Path
+) -> None:
+    """Only the worker of a node imports SciPy."""
+    lacking = "raise ModuleNotFoundError(name='scipy')"
+    (tmp_path / "scipy.py").write_text(lacking, encoding="utf-8")
+    paths = f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
+    done = subprocess.run(
+        [installed_programs() / program],
+        env={**os.environ, "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith(f"{program}: the Python package scipy is missing: ")
+    assert "Traceback" not in done.stderr
+
+
 @pytest.mark.parametrize("node", SOME)
 def test_a_reader_that_has_enough_is_no_error(node: str) -> None:
     reading, writing = os.pipe()
