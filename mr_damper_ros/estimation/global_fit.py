@@ -214,9 +214,10 @@ def _errors_of(model: Model, pairs: Sequence[tuple[Window, Array]]) -> tuple[Err
     for window, values in pairs:
         settled = model.settled(window, values)
         found.append((model.window_force(window, values)[settled], window.force[settled]))
-    squares = np.concatenate([(force - measured) ** 2 for force, measured in found])
-    variance = float(np.var(squares)) / independent_samples(squares)
-    return pooled(ErrorSums.of(*pair) for pair in found), variance
+    with np.errstate(over="ignore", invalid="ignore"):  # of a separate fit that failed
+        squares = np.concatenate([(force - measured) ** 2 for force, measured in found])
+        variance = float(np.var(squares)) / independent_samples(squares)
+        return pooled(ErrorSums.of(*pair) for pair in found), variance
 
 
 def _pieces(
