@@ -145,7 +145,13 @@ def temperature_maps(runs: Sequence[MeasuredRun], found: ParameterSet) -> list[T
                 continue
             for piece, mean in _pieces(window, recording.temperature):
                 try:
-                    fit = fit_window(found.law, piece, found.values, method="least_squares")
+                    fit = fit_window(
+                        found.law,
+                        piece,
+                        found.values,
+                        method="least_squares",
+                        held=found.held_range,
+                    )
                 except ValueError:
                     continue
                 known = known.with_baseline(fit)

@@ -561,8 +561,7 @@ def _fitted_mass(fit: GlobalFit, windows: Sequence[Window], mass: float = 0.0) -
 
     found = fit.parameter_set
     most = 8000 // len(windows)  # more samples would not help the fit
-    within = found.peak_velocity_range
-    few = [w.resolved(_MASS_RESOLUTION).held_within(*within).thinned(most) for w in windows]
+    few = [found.held(w.resolved(_MASS_RESOLUTION)).thinned(most) for w in windows]
     misfit = Misfit(found.law, few, fit.noise.tolist(), found.values)
     law = ChosenParameters(misfit, found.values, np.flatnonzero(found.observable).tolist())
     inertia = misfit.sample_weights * np.concatenate([w.motion.acceleration for w in few])

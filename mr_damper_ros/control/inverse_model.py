@@ -98,7 +98,7 @@ class InverseModel:
             warnings.warn(parameters.doubt_over_current, stacklevel=2)
         self.law = parameters.law.continuous if gradual_reversal else parameters.law
         self.values = in_coil(parameters)
-        self._range = parameters.peak_velocity_range
+        self._range = parameters.held_range
         self._nodes = np.linspace(lowest_current, highest_current, NODES)
         self._node_list: list[float] = self._nodes.tolist()
         self._response = self.law.current_response(self.values)

@@ -80,7 +80,7 @@ class EmulatedDamper:
     ) -> None:
         first = cold if isinstance(cold, ParameterSet) else ParameterSet(cold)
         self._law = first.law.continuous if built_in else first.law
-        self._range = first.peak_velocity_range if built_in else None
+        self._range = first.held_range if built_in else None
         self._values = [in_coil(first) if built_in else first.values]
         self._factor = hot if isinstance(hot, (int, float)) else 1.0
         if not isinstance(hot, (int, float)):

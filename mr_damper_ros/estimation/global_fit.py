@@ -340,6 +340,7 @@ class GlobalFit:
         """
         model, values = self.parameter_set.law, self.parameter_set.values
         free = np.flatnonzero(np.diag(self.covariance) > 0.0)
+        window = self.parameter_set.held(window)
         jacobian = Misfit(model, [window], [1.0], values).jacobian(values, free.tolist())
         by_parameters = np.sum(jacobian @ self.covariance[np.ix_(free, free)] * jacobian, axis=1)
         # The force of a fit is orthogonal to the residual, and so smaller than the measured force.

@@ -39,7 +39,7 @@ from mr_damper_ros.estimation.local_search import (
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.misfit import WindowProblem
+from mr_damper_ros.models.misfit import UNHELD, WindowProblem
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
@@ -81,7 +81,7 @@ class WindowFit:
     ``coefficients`` (c,) and their covariances ``coefficient_covariance`` and
     ``coefficient_discrepancy`` (c, c) hold at ``operating_point`` (peak velocity [m/s], current
     [A]). ``rmse`` [N] covers the ``sample_count`` samples with a known past; ``nrmse`` = RMSE/std
-    of the force.
+    of the force. The peak velocity was limited to the range ``held`` [m/s].
     """
 
     scales: Array
@@ -99,6 +99,7 @@ class WindowFit:
     message: str
     discrepancy: Array | None = None
     coefficient_discrepancy: Array | None = None
+    held: tuple[float, float] = UNHELD
 
     @property
     def whole_covariance(self) -> Array:
@@ -123,6 +124,7 @@ def fit_window(
     method: str = "nelder_mead",
     robust: bool = False,
     prior: ParameterSet | None = None,
+    held: tuple[float, float] = UNHELD,
     tolerance: float | None = None,
     should_stop: Callable[[], bool] | None = None,
 ) -> WindowFit:
@@ -133,9 +135,10 @@ def fit_window(
     (Huber's weights). ``prior``, the running set, adds a prior to the samples. The effect of an
     unknown on the force is evaluated in the window and in a sine of its largest peak velocity.
     The set must agree with the start in all parameters that a window does not determine. If the
-    window determines the unknowns, the prior has little effect. ``tolerance``: relative decrease of
-    the sum of squares at which the search ends (None: the model's value). ``should_stop`` is called
-    at every evaluation; if it returns True, the best fit so far is returned with ``success`` False.
+    window determines the unknowns, the prior has little effect. ``held`` [m/s]: the range to which
+    the set of the fit limits the peak velocity. ``tolerance``: relative decrease of the sum of
+    squares at which the search ends (None: the model's value). ``should_stop`` is called at every
+    evaluation; if it returns True, the best fit so far is returned with ``success`` False.
 
     Raises DataError for a constant force, ValueError for an unknown method.
     """
@@ -150,10 +153,10 @@ def fit_window(
     problem: WindowProblem | None = None
     ending = Ending.CONVERGED
 
-    forces = model.window_forces([window])
+    forces = model.window_forces([window.held_within(*held)])
 
     def enter(parameters: Array) -> LocalSearch[WindowProblem]:
-        problem = WindowProblem(model, window, parameters, forces=forces)
+        problem = WindowProblem(model, window, parameters, held=held, forces=forces)
         searches.append(LocalSearch(problem, problem.start, should_stop))
         searches[-1].try_out(problem.start)
         return searches[-1]
@@ -175,7 +178,7 @@ def fit_window(
         search.least_squares(tolerance=tolerance or effort.tolerance, most_steps=effort.most_steps)
         exhausted = search.exhausted
         if prior is not None:
-            running = WindowProblem(model, window, prior.values)
+            running = WindowProblem(model, window, prior.values, held=held)
             width = _usual_change(running, prior.peak_velocity_range[1])
             # Without a force of the running set, there is no prior.
             if np.isfinite(width).all():
@@ -241,6 +244,7 @@ def fit_of(
         message=ending.value,
         discrepancy=discrepancy,
         coefficient_discrepancy=by_discrepancy,
+        held=problem.held,
     )
 
 
@@ -260,8 +264,9 @@ def _usual_change(running: WindowProblem, fastest: float) -> Array:
         window, model = running.window, running.model
         frequency = LoopReading.of(window).frequency
         sine = Window.of_sine(fastest, frequency, window.operating_point[1])
-        sine = replace(sine, force=model.window_force(sine, running.given))
-        problems.append(WindowProblem(model, sine, running.given))
+        force = model.window_force(sine.held_within(*running.held), running.given)
+        sine = replace(sine, force=force)
+        problems.append(WindowProblem(model, sine, running.given, held=running.held))
     changes = []
     for problem in problems:
         effect = np.sqrt(np.mean(problem.jacobian(problem.start) ** 2, axis=0))

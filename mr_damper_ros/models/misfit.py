@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -143,20 +144,33 @@ class ChosenParameters:
         return self.misfit.jacobian(self.parameters(unknowns), self.places)
 
 
+UNHELD = (0.0, math.inf)
+"""The range [m/s] that limits no peak velocity."""
+
+
 class WindowProblem(ChosenParameters):
     """Residual (n,) [N] of a window and its Jacobian (n, f), for the scale parameters (f,).
 
-    ``settled`` (n,): mask of the samples with a residual; ``forces``: the forces of the window,
-    which a new problem may reuse.
+    The law is evaluated as its set is used: with the peak velocity limited to the range ``held``
+    [m/s]. ``settled`` (n,): mask of the samples with a residual; ``forces``: the forces of the
+    window, which a new problem may reuse.
     """
 
     def __init__(
-        self, model: Model, window: Window, parameters: Array, *, forces: WindowForces | None = None
+        self,
+        model: Model,
+        window: Window,
+        parameters: Array,
+        *,
+        held: tuple[float, float] = UNHELD,
+        forces: WindowForces | None = None,
     ) -> None:
-        misfit = Misfit(model, [window], [1.0], np.array(parameters, dtype=float), forces=forces)
+        seen = window.held_within(*held)
+        misfit = Misfit(model, [seen], [1.0], np.array(parameters, dtype=float), forces=forces)
         super().__init__(misfit, parameters, model.unknown_indices.tolist())
         self.model = model
         self.window = window
+        self.held = held
         self.settled, self.forces = misfit.settled, misfit.forces
 
     @property
@@ -166,6 +180,7 @@ class WindowProblem(ChosenParameters):
 
     def coefficients(self, unknowns: Array) -> tuple[Array, Array]:
         """Operating-point coefficients (c,) and their derivatives (c, f)."""
-        given = self.parameters(unknowns), *self.window.operating_point
+        speed, current = self.window.operating_point
+        given = self.parameters(unknowns), float(np.clip(speed, *self.held)), current
         gradient = self.model.coefficient_gradient(*given)[:, self.places]
         return self.model.coefficients_at(*given)[:, 0], gradient

@@ -104,7 +104,9 @@ class ParameterSet:
     values. A parameter that the data determined only jointly with others is observable and has no
     standard error. ``peak_velocity_range`` [m/s] and ``current_range`` [A] span the data that were
     used; ``nrmse`` is RMSE/std of the force; ``stamp_ns`` is the time of the last sample used.
-    ``largest_force`` [N] is the largest force in these data, NaN if unknown.
+    ``largest_force`` [N] is the largest force in these data, NaN if unknown. ``dependence_range``
+    [m/s] spans the data that determined the dependence on the peak velocity, None if it is the
+    ``peak_velocity_range``: the fit of a window beyond it scales the law and keeps its dependence.
 
     Raises ParameterError for an unknown model, wrong shapes, values that are not finite or out of
     bounds, a reversed range, and a negative or infinite largest force. It is also raised if the set
@@ -124,6 +126,7 @@ class ParameterSet:
     model: str = DEFAULT_MODEL
     largest_force: float = math.nan
     discrepancies: Array = field(default_factory=_unknown)
+    dependence_range: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         model = known_model(self.model)
@@ -165,8 +168,10 @@ class ParameterSet:
                     raise ParameterError(
                         f"the {what} of {name} is {error}: it must not be negative"
                     )
-        for name in ("peak_velocity_range", "current_range"):
+        for name in ("peak_velocity_range", "current_range", "dependence_range"):
             given = getattr(self, name)
+            if name == "dependence_range" and given is None:
+                continue
             if not isinstance(given, (list, tuple, np.ndarray)) or len(given) != 2:
                 raise ParameterError(f"{name} must be a list of two numbers, lower bound first")
             low, high = (_number(bound, name) for bound in given)
@@ -200,9 +205,18 @@ class ParameterSet:
         pairs = zip(self.values.tolist(), errors.tolist(), strict=True)
         return dict(zip(self.law.parameter_names, pairs, strict=True))
 
+    @property
+    def held_range(self) -> tuple[float, float]:
+        """Range [m/s] to which the peak velocity is limited wherever the law is evaluated.
+
+        Beyond the data that determined it, the dependence on the peak velocity is unknown and may
+        even have a pole.
+        """
+        return self.dependence_range or self.peak_velocity_range
+
     def held(self, motion: Moved) -> Moved:
-        """The motion for prediction, with the peak velocity limited to the range of the set."""
-        return motion.held_within(*self.peak_velocity_range)
+        """The motion with the peak velocity limited to :attr:`held_range`."""
+        return motion.held_within(*self.held_range)
 
     def law_turning(self, *, gradual: bool) -> Model:
         """The law; if ``gradual``, with a continuous force at reversals instead of its jump."""
@@ -245,10 +259,10 @@ class ParameterSet:
         jumping, gradual = self.law, self.law.continuous
         if gradual is jumping or np.ptp(window.force) == 0.0:
             return gradual is not jumping and window.motion.sine is None
-        errors = []
+        errors, held = [], self.held(window)
         for law in (jumping, gradual):
-            settled = law.settled(window, self.values)
-            error = (law.window_force(self.held(window), self.values) - window.force)[settled]
+            settled = law.settled(held, self.values)
+            error = (law.window_force(held, self.values) - window.force)[settled]
             errors.append(float(error @ error) / error.size if error.size else math.inf)
         return errors[1] < errors[0]
 
@@ -351,6 +365,7 @@ class ParameterSet:
             "peak_velocity_range": list(self.peak_velocity_range),
             "current_range": list(self.current_range),
             "largest_force": _or_none(self.largest_force),
+            **({} if self.dependence_range is None else {"dependence_range": [*self.held_range]}),
             "parameters": {
                 name: {
                     "value": float(value),
@@ -421,7 +436,8 @@ class ParameterSet:
     def _from_document(cls, document: Any) -> ParameterSet:
         known = {
             *("model", "id", "source", "stamp_ns", "nrmse"),
-            *("peak_velocity_range", "current_range", "largest_force", "parameters"),
+            *("peak_velocity_range", "current_range", "largest_force", "dependence_range"),
+            "parameters",
         }
         if not isinstance(document, dict) or "parameters" not in document:
             raise ParameterError(
@@ -475,6 +491,7 @@ class ParameterSet:
             model=model,
             largest_force=_or_nan(document.get("largest_force"), "largest_force"),
             discrepancies=discrepancies,
+            dependence_range=document.get("dependence_range"),
         )
 
 

@@ -130,7 +130,8 @@ def _cycles(
         sine=None,
     )
     with np.errstate(all="ignore"):
-        force = parameters.law.force(parameters.values, motion, current, 1.0 / (frequency * PHASES))
+        held = parameters.held(motion)
+        force = parameters.law.force(parameters.values, held, current, 1.0 / (frequency * PHASES))
         # The first of the two cycles contains the transient.
         force, velocity = (x.reshape(shape)[..., PHASES:] for x in (force, velocity))
         peaks = np.max(np.abs(force), axis=-1)

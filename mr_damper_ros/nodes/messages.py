@@ -152,6 +152,7 @@ _ARRAYS_OF_A_SET = ("values", "standard_errors", "discrepancies")
 def parameters_message(parameters: ParameterSet, frame_id: str, node: str) -> DamperParameters:
     """The message for a parameter set, from the node of this fully qualified name."""
     low, high = zip(parameters.peak_velocity_range, parameters.current_range, strict=True)
+    held = parameters.dependence_range or (0.0, 0.0)
     return DamperParameters(
         header=header(parameters.stamp_ns, frame_id),
         id=parameters.set_id,
@@ -161,6 +162,8 @@ def parameters_message(parameters: ParameterSet, frame_id: str, node: str) -> Da
         node=node,
         peak_velocity_min=low[0],
         peak_velocity_max=high[0],
+        held_velocity_min=held[0],
+        held_velocity_max=held[1],
         current_min=low[1],
         current_max=high[1],
         **{name: getattr(parameters, name) for name in _OF_A_SET},
@@ -183,11 +186,13 @@ def parameter_set(message: DamperParameters) -> ParameterSet:
     arrays: dict[str, Any] = {name: np.array(getattr(message, name)) for name in _ARRAYS_OF_A_SET}
     if not arrays["discrepancies"].size:  # a message of an older sender
         arrays["discrepancies"] = np.full(len(law.parameter_names), np.nan)
+    held = message.held_velocity_min, message.held_velocity_max
     return ParameterSet(
         set_id=message.id,
         stamp_ns=to_nanoseconds(message.header.stamp),
         observable=np.array(message.observable, dtype=bool),
         peak_velocity_range=(message.peak_velocity_min, message.peak_velocity_max),
+        dependence_range=held if any(held) else None,
         current_range=(message.current_min, message.current_max),
         **{name: getattr(message, name) for name in _OF_A_SET},
         **arrays,

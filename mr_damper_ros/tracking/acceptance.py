@@ -147,7 +147,7 @@ def evidence_of(
     points.
     """
     gradual = found.turns_gradually(window)
-    settled = found.law_turning(gradual=gradual).settled(window, found.values)
+    settled = found.law_turning(gradual=gradual).settled(found.held(window), found.values)
     spread = float(np.std(window.force))
     old, new = (each.window_force(window, gradual=gradual) for each in (running, found))
     known = bool(running.observable.any() and np.isfinite(old).all())

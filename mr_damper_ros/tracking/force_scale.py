@@ -25,7 +25,7 @@ from mr_damper_ros.estimation.observability import SURE
 from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.misfit import WindowProblem
+from mr_damper_ros.models.misfit import UNHELD, WindowProblem
 from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array, Positive
 from mr_damper_ros.signals.recording import TEMPERATURES
 from mr_damper_ros.tracking.operating_point import (
@@ -117,12 +117,13 @@ def force_scale(
         place = same.index(True) if any(same) else None
     if place is None or (baseline := baselines[place].baseline) is None:
         return ForceScale()
-    problem = WindowProblem(model, window, fit.parameters)
+    problem = WindowProblem(model, window, fit.parameters, held=fit.held)
     settled = problem.settled
-    reference = model.window_force(window, baseline)[settled]
+    as_then = window.held_within(*(baselines[place].held or UNHELD))
+    reference = model.window_force(as_then, baseline)[settled]
     if not steady:
         return measured_scale(reference, window.force[settled])
-    present = model.window_force(window, fit.parameters)[settled]
+    present = model.window_force(window.held_within(*fit.held), fit.parameters)[settled]
     jacobian = problem.jacobian(fit.scales)[settled]
     scale = scale_between(reference, present, jacobian, fit.covariance)
     if fit.discrepancy is None:

@@ -396,6 +396,7 @@ class ModelBank:
                 factor,
                 set_id=parameters.set_id[: LONGEST_NAME - len(suffix)] + suffix,
                 peak_velocity_range=speeds if includes else known_speeds,
+                dependence_range=parameters.held_range,
                 largest_force=float(np.fmax(parameters.largest_force, used.largest_force)),
             )
         return replace(present, parameters=parameters, currents=(current, current), whole=True)

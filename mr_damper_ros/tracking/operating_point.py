@@ -146,8 +146,9 @@ class KnownForce:
 class PointRecord:
     """Record of one operating point.
 
-    ``baseline`` (p,) are the parameters of the first accepted fit, and ``force`` is the first
-    accepted force; later windows do not change them. ``temperatures`` (n, 3) holds the measured
+    ``baseline`` (p,) are the parameters of the first accepted fit, with the peak velocity limited
+    to the range ``held`` [m/s] if there is one, and ``force`` is the first accepted force; later
+    windows do not change them. ``temperatures`` (n, 3) holds the measured
     temperature [°C], the force scale and its standard error. ``window`` is the newest good window,
     ``stamp_ns`` the stamp of its last sample, and ``number`` its consecutive number, 0 without one.
     A record that travels with a job may have the number of its window alone.
@@ -160,6 +161,7 @@ class PointRecord:
     window: Window | None = None
     stamp_ns: int = 0
     number: int = 0
+    held: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +194,8 @@ class KnownPoints:
         """Return the records with a fit as the baseline of its operating point, if it has none."""
         if self.at(fit.operating_point).baseline is not None:
             return self
-        return self.noted(fit.operating_point, baseline=fit.parameters)
+        held = fit.held if np.isfinite(fit.held).all() else None
+        return self.noted(fit.operating_point, baseline=fit.parameters, held=held)
 
     # Windows
 

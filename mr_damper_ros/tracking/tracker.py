@@ -194,7 +194,8 @@ def _followed(job: Job, window: Window) -> Fitted | None:
         return None
     unseen = round((raw.end_ns - state.stamp_ns) / (raw.period * NANOSECONDS))
     new = window.part(slice(max(window.sample_count - unseen, 0), None))
-    problem = WindowProblem(job.running.law, new, job.running.values)
+    running, held = job.running, _held_range(job.running, window)
+    problem = WindowProblem(running.law, new, running.values, held=held)
     follower = RecursiveFilter(
         state, problem, raw.end_ns, drift_rate=options.drift_rate, robust=options.robust
     )
@@ -204,7 +205,7 @@ def _followed(job: Job, window: Window) -> Fitted | None:
     if evidence.rmse_after > WORSE_RATIO * follower.noise_level:
         return None
     follower.take_in(validation)
-    fit = follower.as_fit(WindowProblem(job.running.law, window, job.running.values))
+    fit = follower.as_fit(WindowProblem(running.law, window, running.values, held=held))
     return fit, evidence, follower.state
 
 
@@ -506,7 +507,7 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
     names = {"set_id": f"window-{memory.windows}", "stamp_ns": raw.end_ns}
     found = _new_set(running, fit, evidence, window, **names)
     judged = _candidate(running, fit.parameters, window)
-    settled = model.settled(window, fit.parameters)
+    settled = model.settled(judged.held(window), fit.parameters)
     watch = ChangeWatch.after_fit(
         judged.window_force(window)[settled],
         window.force[settled],
@@ -611,7 +612,8 @@ def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) ->
     validation = validation_mask(window.sample_count, job.fresh)
     # Only a set that was identified on this damper is evidence.
     prior = running if running.observable.any() else None
-    fitted = partial(fit_window, running.law, robust=options.robust, prior=prior)
+    held = _held_range(running, window)
+    fitted = partial(fit_window, running.law, robust=options.robust, prior=prior, held=held)
     trained = fitted(
         window.part(~validation), running.values, method=options.method, should_stop=should_stop
     )
@@ -653,9 +655,7 @@ def _check_change(job: Job, window: Window) -> Outcome:
         # Both sums start again.
         memory.watch = replace(watch, rising=0.0, falling=0.0, rising_samples=0, falling_samples=0)
         return unchanged
-    # The peak velocity is limited to the range of the running set, as in a prediction.
-    held = running.held(window)
-    predicted = model.window_force(held, running.values)
+    predicted = running.window_force(window)
     memory.watch = watch = watch.follow(predicted[newest], window.force[newest])
     count = min(watch.samples_since_change, window.sample_count)
     if count < CHUNKS:
@@ -663,8 +663,8 @@ def _check_change(job: Job, window: Window) -> Outcome:
     since = slice(window.sample_count - count, None)
     count -= change_point(predicted[since], window.force[since], CHUNKS)
     since = slice(window.sample_count - count, None)
-    changed, predicted = held.part(since), predicted[since]
-    lasting = model.lasting_force(changed, running.values)
+    changed, predicted = window.part(since), predicted[since]
+    lasting = model.lasting_force(running.held(changed), running.values)
     own, measured = predicted - lasting, changed.force - lasting
     validation = validation_mask(count)
     trained = measured_scale(own[~validation], measured[~validation]).value
@@ -694,7 +694,7 @@ def _check_change(job: Job, window: Window) -> Outcome:
     gatekeeper = Gatekeeper(job.settings.acceptance, memory)
     if not gatekeeper.may_be_early(evidence) or implausible(found):
         return unchanged
-    problem = WindowProblem(model, changed, found.values)
+    problem = WindowProblem(model, changed, found.values, held=found.held_range)
     gains = np.where(problem.strength, problem.start, 0.0) * (scale.standard_error / scale.value)
     fit = fit_of(problem, problem.start, np.outer(gains, gains), method=EARLY_SOURCE, evaluations=2)
     of_window = force_scale(model, changed, fit, memory.points.baselines)
@@ -765,12 +765,19 @@ def _holds(
     )
 
 
-def _candidate(running: ParameterSet, values: Array, window: Window) -> ParameterSet:
-    """A set with the values (p,) fitted to a window, and the peak velocity range it would get."""
-    speeds = window.peak_velocity_range
+def _held_range(running: ParameterSet, window: Window) -> tuple[float, float]:
+    """Range [m/s] to which the set of a window limits the peak velocity.
+
+    A window fit keeps the dependence on the peak velocity, and so the range in which it is known.
+    """
     if running.law.knows_speeds(running.observable):
-        speeds = _wider_speeds(running, speeds, window.motion.frequency)
-    return replace(running, values=values, peak_velocity_range=speeds)
+        return running.held_range
+    return window.peak_velocity_range
+
+
+def _candidate(running: ParameterSet, values: Array, window: Window) -> ParameterSet:
+    """A set with the values (p,) fitted to a window."""
+    return replace(running, values=values, dependence_range=_held_range(running, window))
 
 
 def _wider_speeds(
@@ -795,7 +802,8 @@ def _new_set(
     Parameters that were not fitted keep their values and errors. The set holds in the range of the
     window, and in that of the running set if its dependence on the peak velocity, or on the
     current, is known and agrees with the window. A window that is not a sine does not change the
-    lower end of a known range.
+    lower end of a known range. The range in which the dependence on the peak velocity is known
+    stays.
     """
     model = running.law
     errors, discrepancies = running.standard_errors.copy(), running.discrepancies.copy()
@@ -831,6 +839,7 @@ def _new_set(
         observable=observable,
         peak_velocity_range=velocity_range,
         current_range=current_range,
+        dependence_range=running.held_range if knows[0] else None,
         largest_force=largest_force,
         **names,
     )

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fresh_python import said
-from known import EXAMPLES, PLAUSIBLE
+from known import EXAMPLES, PLAUSIBLE, index
 from random_motion import BandLimitedRandom
 
 from mr_damper_ros.control.export.exported_law import ExportedLaw, ExportSettings, Vectors
@@ -38,6 +38,10 @@ SETS = {
     "sigmoid": ParameterSet(PLAUSIBLE, peak_velocity_range=(0.0, 1.0)),
     "thesis": ParameterSet(parameters(CONDITIONS[20])),
     "sigmoid_lag": ParameterSet(LATE, model="sigmoid_lag", peak_velocity_range=(0.02, 0.3)),
+    # Its steepness has a pole at 0.08 m/s.
+    "pole": ParameterSet(
+        np.where(np.arange(16) == index("k0"), -12.5, PLAUSIBLE), peak_velocity_range=(0.02, 0.06)
+    ),
 }
 
 
@@ -73,7 +77,7 @@ def _of(array: Array) -> Any:
     return array.ctypes.data_as(ctypes.c_void_p)
 
 
-@pytest.fixture(scope="module", params=["thesis", "sigmoid_lag"])
+@pytest.fixture(scope="module", params=["thesis", "sigmoid_lag", "pole"])
 def law(request: pytest.FixtureRequest) -> ExportedLaw:
     return ExportedLaw(SETS[request.param], ExportSettings())
 
@@ -128,6 +132,15 @@ def test_the_c_code_is_that_of_the_package(law: ExportedLaw, compiled: Compiled)
     np.testing.assert_array_equal(got, compiled.stream(held, held_current, 0.02))
 
 
+def test_the_c_code_holds_the_law_beyond_its_range(law: ExportedLaw, compiled: Compiled) -> None:
+    inputs = Vectors.of(law, POINTS).inputs
+    held = inputs.copy()
+    held[:, 1] = held[:, 1].clip(*law.parameters.peak_velocity_range)
+    assert np.any(held[:, 1] != inputs[:, 1]) or law.parameters is SETS["thesis"]
+    for got, expected in zip(compiled.law(inputs), compiled.law(held), strict=True):
+        np.testing.assert_array_equal(got, expected)
+
+
 def wanted_forces(law: ExportedLaw, count: int) -> tuple[Array, Array]:
     """About ``count`` inputs (n, 5) and desired forces [N] (n,), some of them not attainable."""
     inputs = Vectors.of(law, count, seed=1).inputs
@@ -173,10 +186,8 @@ def expected_stream(law: ExportedLaw, displacement: Array, current: Array, centr
         here = slice(place, place + 1)
         u, v, a = observer.follow(displacement[here])
         v_m = peak.follow(v, a) if observer.settled_count > 0 else np.abs(v)
-        motion = Motion(u - centre, v, a, v_m, None).held_within(*law.held)
-        found, state = law.parameters.law.continuous.follow(
-            law.parameters.values, motion, current[here], period, state
-        )
+        motion = Motion(u - centre, v, a, v_m, None)
+        found, state = law.parameters.follow(motion, current[here], period, state, gradual=True)
         forces.append(found)
     return np.concatenate(forces)
 

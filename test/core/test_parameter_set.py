@@ -47,6 +47,7 @@ def parameter_sets(draw: st.DrawFn) -> ParameterSet:
         stamp_ns=draw(st.integers(-STAMP_LIMIT, STAMP_LIMIT - 1)),
         largest_force=draw(st.one_of(FINITE.map(abs), st.just(math.nan))),
         discrepancies=one_for_each(st.one_of(st.floats(0.0), st.just(math.nan))),
+        dependence_range=draw(st.one_of(st.none(), ordered_pair())),
     )
 
 

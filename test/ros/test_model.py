@@ -119,6 +119,7 @@ def test_a_parameter_set_passes_through_its_message_unchanged(model: ForceModel)
         standard_errors=np.linspace(0.1, 1.6, count),
         discrepancies=np.linspace(0.05, 0.8, count),
         observable=np.arange(count) % 2 == 0,
+        dependence_range=(0.02, 0.033),
     )
     message = parameters_message(original, "damper", "/test")
     assert (message.model, message.names) == (model.name, list(model.parameter_names))

@@ -36,8 +36,8 @@ class ExportedLaw:
 
     ``constants`` are the parameters of the ``formulas`` by name. The observer has the state matrix
     ``observer`` (4, 4) and the input vector ``observer_gain`` (4,); it settles within ``settling``
-    samples. ``nodes`` [A] are the nodes of the inverse. ``held``: range [m/s] to which v_m is
-    limited. Raises ValueError if the model has no formulas or the settings are invalid.
+    samples. ``nodes`` [A] are the nodes of the inverse. ``held``: range [m/s] to which the law
+    limits v_m. Raises ValueError if the model has no formulas or the settings are invalid.
     """
 
     def __init__(self, parameters: ParameterSet, settings: ExportSettings) -> None:
@@ -63,21 +63,26 @@ class ExportedLaw:
         self.observer, self.observer_gain = closed_loop(period, bandwidth)
         self.settling = settling_samples(period, bandwidth)
         self.nodes = np.linspace(low, high, NODES)
-        self.held = parameters.peak_velocity_range
+        self.held = parameters.held_range
 
     def expected(self, inputs: Array) -> tuple[Array, Array]:
         """Coefficients (7, n) and force (n,) for inputs (n, 5): v, v_m, i, s, change."""
         names, coefficients, force, wanted = self.formulas
         stages = [names, ("v", "v_m", "i", "s", "change")]
         law = staged((*coefficients, *force), stages, (*wanted, "force"))
+        v, v_m, *others = inputs.T
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-            *found, forces = law(*(self.constants[name] for name in names))(*inputs.T)
+            of_set = law(*(self.constants[name] for name in names))
+            *found, forces = of_set(v, v_m.clip(*self.held), *others)
         return np.stack(np.broadcast_arrays(*found)), forces
 
     @property
     def provenance(self) -> str:
         """Description of the set in one line, for the header of the code."""
-        (slow, fast), (low, high) = self.held, self.parameters.current_range
+        (slow, fast), (low, high) = (
+            self.parameters.peak_velocity_range,
+            self.parameters.current_range,
+        )
         doubt = self.parameters.doubt_over_current
         return (
             f"set {self.parameters.set_id} of model {self.parameters.model}, peak velocity "

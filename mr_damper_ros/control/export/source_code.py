@@ -62,7 +62,6 @@ def header(law: ExportedLaw, name: str) -> str:
     constants = (f"#define {guard}_{key} {number(value)}" for key, value in law.constants.items())
     formulas = assignments((*law.formulas.coefficients, *law.formulas.force), C)
     body = "\n".join(f"  {_with_constants(line, law, guard)}" for line in formulas)
-    low, high = law.held
     return filled(
         template("damper.h.in"),
         {
@@ -75,13 +74,19 @@ def header(law: ExportedLaw, name: str) -> str:
             "GAIN": ", ".join(map(number, law.observer_gain)),
             "SETTLING": str(law.settling),
             "LONGEST": str(max(round(MEMORY / law.settings.period), 1)),
-            "HELD_LOW": number(low),
-            "HELD_HIGH": number(high),
+            **_held(law),
             "PERIOD": number(law.settings.period),
             "GUARD": guard,
             "NAME": name,
         },
     )
+
+
+def _held(law: ExportedLaw) -> dict[str, str]:
+    """The range to which the law limits the peak velocity, as numbers and in words."""
+    low, high = law.held
+    words = f"{low:.4g} to {high:.4g} m/s"
+    return {"HELD_LOW": number(low), "HELD_HIGH": number(high), "HELD_WORDS": words}
 
 
 def _with_constants(line: str, law: ExportedLaw, guard: str) -> str:
@@ -100,7 +105,6 @@ def functions(law: ExportedLaw) -> dict[str, str]:
         "LOWEST": number(float(law.nodes[0])),
         "HIGHEST": number(float(law.nodes[-1])),
         "NODES": " ".join(map(number, law.nodes)),
-        "HELD_LOW": number(law.held[0]),
-        "HELD_HIGH": number(law.held[1]),
+        **_held(law),
     }
     return {f"damper_{name}.m": filled(template(f"damper_{name}.m.in"), values) for name in _FILES}
