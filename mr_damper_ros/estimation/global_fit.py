@@ -837,7 +837,9 @@ class GlobalSearch:
         joint = self._marked(only_with)
         spread, frequency = self._spread(free)
         errors_of_set = [error_of_set(parameter_set, [window]) for window in self.windows]
-        shortcoming = self.shortcoming or self._unrepresented()
+        shortcoming = self.shortcoming
+        if ending is not Ending.STOPPED:  # who stops a search wants its result at once
+            shortcoming = shortcoming or self._unrepresented()
         return GlobalFit(
             parameter_set=replace(
                 parameter_set,

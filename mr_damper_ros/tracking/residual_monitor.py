@@ -172,7 +172,7 @@ class ForceStatistics:
     def _judge_power(self, stretches: Array, half_cycle: float) -> None:
         self.stuck = self._unchanged * self._period > max(half_cycle, 2.0 * _SHORTEST)
         self.measured_drives = self.predicted_drives = False
-        count, *_ = stretches.sum(axis=1)
+        count = float(stretches[0].sum())
         if half_cycle == 0.0 or count * self._period < 0.25 * HALF_CYCLES * half_cycle:
             return
         with np.errstate(over="ignore", invalid="ignore"):
