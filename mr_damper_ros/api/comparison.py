@@ -40,8 +40,9 @@ class Comparison:
     """Measured and predicted force of one run.
 
     Arrays of shape (n,): ``time`` [s] since the first sample, ``displacement`` [m] from the centre
-    of the motion, ``velocity`` [m/s], ``measured`` and ``predicted`` force [N]. ``name`` and
-    ``provenance`` are copied from the run.
+    of the motion, ``velocity`` [m/s], ``measured`` and ``predicted`` force [N]. The predicted force
+    is NaN where it depends on the unknown time before the run. ``name`` and ``provenance`` are
+    copied from the run.
     """
 
     name: str
@@ -54,25 +55,29 @@ class Comparison:
 
     @property
     def residual(self) -> Array:
-        """Predicted minus measured force [N], shape (n,)."""
+        """Predicted minus measured force [N], shape (n,); NaN without a predicted force."""
         return self.predicted - self.measured
 
     @cached_property
     def error(self) -> ErrorSums:
-        """RMSE, NRMSE and R² of the prediction."""
-        return ErrorSums.of(self.predicted, self.measured)
+        """RMSE, NRMSE and R² of the prediction, over the samples with a predicted force."""
+        known = ~np.isnan(self.residual)
+        return ErrorSums.of(self.predicted[known], self.measured[known])
 
 
 def compare(found: ParameterSet, run: MeasuredRun) -> Comparison:
     """Compare the force of a parameter set with the measured force of a run.
 
-    As in a prediction, the peak velocity is limited to the range of the set.
+    As in a prediction, the peak velocity is limited to the range of the set, and the force of a law
+    with memory is unknown until its state no longer depends on the past.
     """
     first, columns = run.recordings[0], []
     for recording, window in zip(run.recordings, run.windows, strict=True):
         start = (recording.start_ns - first.start_ns) / NANOSECONDS
         times, motion = start + window.period * np.arange(window.sample_count), window.motion
-        force = found.window_force(window, gradual=None)
+        gradual = found.turns_gradually(window)
+        force = found.window_force(window, gradual=gradual)
+        force = np.where(found.settled(window, gradual=gradual), force, np.nan)
         columns.append((times, motion.displacement, motion.velocity, window.force, force))
     time, u, v, measured, predicted = map(np.concatenate, zip(*columns, strict=True))
     origin = first.details.get("provenance", "")
@@ -116,7 +121,7 @@ class ComparedRuns(Shown):
 
     @property
     def error(self) -> ErrorSums:
-        """RMSE, NRMSE and R² of the set over the samples of all runs."""
+        """RMSE, NRMSE and R² of the set over all samples with a predicted force."""
         return pooled(run.error for run in self.runs)
 
     @property
@@ -179,7 +184,8 @@ def comparison_figure(comparison: Comparison, title: str = "") -> Figure:
         axes["residual"].plot(time, residual, color="0.25", linewidth=0.6)
         axes["residual"].axhline(0.0, color="0.6", linewidth=0.6)
         axes["residual"].set(xlabel="Time [s]", ylabel="Residual [N]")
-        axes["histogram"].hist(c.residual, 40, orientation="horizontal", color="0.55")
+        known = c.residual[~np.isnan(c.residual)]
+        axes["histogram"].hist(known, 40, orientation="horizontal", color="0.55")
         axes["histogram"].sharey(axes["residual"])
         axes["histogram"].tick_params(labelleft=False)
         axes["histogram"].set_xlabel("Samples")

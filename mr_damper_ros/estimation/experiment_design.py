@@ -542,6 +542,9 @@ def model_error(model: Model, window: Window, parameters: Array) -> float:
     if phases is not None:
         places = phases.numbers
     else:
+        # Only in a steady sine is the past known.
+        residual = residual[model.settled(window, parameters)]
+        count = residual.size
         cycle = 1.0 / max(LoopReading.of(window).frequency * window.period, 1e-12)
         places = np.arange(count) // max(round(cycle / (2 * PHASES)), _FEWEST_IN_PART)
     counts = np.maximum(np.bincount(places), 1)

@@ -364,8 +364,13 @@ class GlobalFit:
 
 
 def error_of_set(found: ParameterSet, windows: Iterable[Window]) -> ErrorSums:
-    """Error of a set of any model over the samples of all windows together."""
-    return pooled(ErrorSums.of(found.window_force(window), window.force) for window in windows)
+    """Error of a set of any model over the settled samples of all windows together."""
+
+    def error_in(window: Window) -> ErrorSums:
+        settled = found.settled(window)
+        return ErrorSums.of(found.window_force(window)[settled], window.force[settled])
+
+    return pooled(map(error_in, windows))
 
 
 def coefficient_sizes(model: Model, coefficients: Array, loop: LoopReading) -> Array:

@@ -298,6 +298,9 @@ def _error_left_out(search: GlobalSearch, fold: Fold) -> float:
     squares = []
     for window, places in fold.judged:
         residual = (found.window_force(window) - window.force)[places]
-        squares.append(float(np.mean(residual**2) / np.var(window.force)))
+        settled = found.settled(window)[places]
+        # The first segment of a run may depend on the unknown past as a whole.
+        counted = residual[settled] if settled.any() else residual
+        squares.append(float(np.mean(counted**2) / np.var(window.force)))
     error = math.sqrt(float(np.mean(squares)))
     return error if math.isfinite(error) else math.inf

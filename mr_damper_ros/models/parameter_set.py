@@ -249,6 +249,14 @@ class ParameterSet:
         law = self.law_turning(gradual=self.turns_gradually(window) if gradual is None else gradual)
         return law.window_force(self.held(window), self.values)
 
+    def settled(self, window: Window, *, gradual: bool = False) -> np.ndarray:
+        """Mask (n,) of the samples whose force does not depend on the time before the window.
+
+        The state of a law with memory is unknown at the first sample, so the force of the other
+        samples says nothing about the set.
+        """
+        return self.law_turning(gradual=gradual).settled(self.held(window), self.values)
+
     def turns_gradually(self, window: Window) -> bool:
         """Whether the law with gradual reversals fits the measured force of a window better.
 
@@ -259,10 +267,10 @@ class ParameterSet:
         jumping, gradual = self.law, self.law.continuous
         if gradual is jumping or np.ptp(window.force) == 0.0:
             return gradual is not jumping and window.motion.sine is None
-        errors, held = [], self.held(window)
-        for law in (jumping, gradual):
-            settled = law.settled(held, self.values)
-            error = (law.window_force(held, self.values) - window.force)[settled]
+        errors = []
+        for each in (False, True):
+            error = self.window_force(window, gradual=each) - window.force
+            error = error[self.settled(window, gradual=each)]
             errors.append(float(error @ error) / error.size if error.size else math.inf)
         return errors[1] < errors[0]
 

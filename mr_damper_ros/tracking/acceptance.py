@@ -147,7 +147,7 @@ def evidence_of(
     points.
     """
     gradual = found.turns_gradually(window)
-    settled = found.law_turning(gradual=gradual).settled(found.held(window), found.values)
+    settled = found.settled(window, gradual=gradual)
     spread = float(np.std(window.force))
     old, new = (each.window_force(window, gradual=gradual) for each in (running, found))
     known = bool(running.observable.any() and np.isfinite(old).all())
@@ -202,10 +202,12 @@ def evidence_of_search(
     judged = [window.part(judges) for window, judges in windows if judges.any()]
     before, after = (error_of_set(each, judged).nrmse for each in (running, found))
     last = judged[-max(recent, 1) :]
-    compared = [
-        (running.window_force(window), found.window_force(window), window.force, judges)
-        for window, judges in windows
-    ]
+    compared = []
+    for window, judges in windows:
+        settled = found.settled(window)
+        forces = running.window_force(window), found.window_force(window), window.force
+        old, new, measured = (force[settled] for force in forces)
+        compared.append((old, new, measured, judges[settled]))
     finite = all(np.isfinite(old).all() for old, *_ in compared)
     return Evidence(
         before,
@@ -262,8 +264,11 @@ def _mean_square(found: ParameterSet, windows: Sequence[Window]) -> float:
     damper may have changed since. An error that overflows is infinite.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        forces = [found.window_force(window) for window in windows]
-        pairs = [(force, window.force) for force, window in zip(forces, windows, strict=True)]
+        known = [found.settled(window) for window in windows]
+        pairs = [
+            (found.window_force(window)[settled], window.force[settled])
+            for window, settled in zip(windows, known, strict=True)
+        ]
         power = sum(float(np.mean(force * force)) for force, _ in pairs)
         shared = sum(float(np.mean(force * measured)) for force, measured in pairs)
         factor = shared / power if power > 0.0 else 1.0

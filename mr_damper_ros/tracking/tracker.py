@@ -507,7 +507,7 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
     names = {"set_id": f"window-{memory.windows}", "stamp_ns": raw.end_ns}
     found = _new_set(running, fit, evidence, window, **names)
     judged = _candidate(running, fit.parameters, window)
-    settled = model.settled(judged.held(window), fit.parameters)
+    settled = judged.settled(window)
     watch = ChangeWatch.after_fit(
         judged.window_force(window)[settled],
         window.force[settled],

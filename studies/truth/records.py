@@ -58,9 +58,8 @@ def judge_records(law: str, left_out: str | None, utfsm: Path, every: int) -> di
 
 
 def _left(found: ParameterSet, window: Window) -> Array:
-    """Force error [N] (n,) of a set, with the peak velocity limited to the set's range."""
-    held = window.held_within(*found.peak_velocity_range)
-    return np.asarray(found.law.window_force(held, found.values) - window.force)
+    """Force error [N] of a set at the settled samples of a window."""
+    return np.asarray((found.window_force(window) - window.force)[found.settled(window)])
 
 
 def _raw_errors(found: ParameterSet, utfsm: Path) -> dict[str, float]:
