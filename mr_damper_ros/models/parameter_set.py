@@ -105,8 +105,8 @@ class ParameterSet:
     standard error. ``peak_velocity_range`` [m/s] and ``current_range`` [A] span the data that were
     used; ``nrmse`` is RMSE/std of the force; ``stamp_ns`` is the time of the last sample used.
     ``largest_force`` [N] is the largest force in these data, NaN if unknown. ``dependence_range``
-    [m/s] spans the data that determined the dependence on the peak velocity, None if it is the
-    ``peak_velocity_range``: the fit of a window beyond it scales the law and keeps its dependence.
+    [m/s] is the range in which the dependence on the peak velocity is known, None if it is the
+    ``peak_velocity_range``. The fit of a window beyond it may scale the law without extending it.
 
     Raises ParameterError for an unknown model, wrong shapes, values that are not finite or out of
     bounds, a reversed range, and a negative or infinite largest force. It is also raised if the set

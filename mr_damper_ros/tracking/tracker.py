@@ -43,7 +43,6 @@ from mr_damper_ros.models.quantities import GOOD_NRMSE, NOTICED, SAME_CURRENT
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.worker import Control
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
-from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import (
     CHUNKS,
@@ -194,14 +193,14 @@ def _followed(job: Job, window: Window) -> Fitted | None:
         return None
     unseen = round((raw.end_ns - state.stamp_ns) / (raw.period * NANOSECONDS))
     new = window.part(slice(max(window.sample_count - unseen, 0), None))
-    running, held = job.running, _held_range(job.running, window)
+    running, held = job.running, _held_ranges(job.running, window)[0]
     problem = WindowProblem(running.law, new, running.values, held=held)
     follower = RecursiveFilter(
         state, problem, raw.end_ns, drift_rate=options.drift_rate, robust=options.robust
     )
     validation = validation_mask(new.sample_count, job.fresh)
     follower.take_in(~validation)
-    evidence = _evidence(job, new, follower.as_fit(problem).parameters, validation)
+    evidence = _evidence(job, new, follower.as_fit(problem), validation)
     if evidence.rmse_after > WORSE_RATIO * follower.noise_level:
         return None
     follower.take_in(validation)
@@ -506,7 +505,7 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
     fit, evidence, state = followed or _fitted(job, window, should_stop)
     names = {"set_id": f"window-{memory.windows}", "stamp_ns": raw.end_ns}
     found = _new_set(running, fit, evidence, window, **names)
-    judged = _candidate(running, fit.parameters, window)
+    judged = _candidate(running, fit)
     settled = judged.settled(window)
     watch = ChangeWatch.after_fit(
         judged.window_force(window)[settled],
@@ -612,26 +611,27 @@ def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) ->
     validation = validation_mask(window.sample_count, job.fresh)
     # Only a set that was identified on this damper is evidence.
     prior = running if running.observable.any() else None
-    held = _held_range(running, window)
-    fitted = partial(fit_window, running.law, robust=options.robust, prior=prior, held=held)
-    trained = fitted(
-        window.part(~validation), running.values, method=options.method, should_stop=should_stop
-    )
-    evidence = _evidence(job, window, trained.parameters, validation)
+    fitted = partial(fit_window, running.law, robust=options.robust, prior=prior)
+    training, trials = window.part(~validation), []
+    for held in _held_ranges(running, window):
+        asked = {"method": options.method, "should_stop": should_stop, "held": held}
+        trial = fitted(training, running.values, **asked)
+        trials.append((trial, _evidence(job, window, trial, validation)))
+    trained, evidence = min(trials, key=lambda each: np.nan_to_num(each[1].rmse_after, nan=np.inf))
     # The published set uses all samples; the validation samples only serve the acceptance test.
-    final = fitted(window, trained.parameters, method="least_squares")
+    final = fitted(window, trained.parameters, method="least_squares", held=trained.held)
     final = replace(
         final,
         method=options.method,
-        evaluations=trained.evaluations + final.evaluations,
+        evaluations=sum(trial.evaluations for trial, _ in trials) + final.evaluations,
         success=trained.success,
         message=trained.message,
     )
     return final, evidence, FilterState.of(final, job.samples.end_ns)
 
 
-def _evidence(job: Job, window: Window, values: Array, validation: np.ndarray) -> Evidence:
-    found = _candidate(job.running, values, window)
+def _evidence(job: Job, window: Window, fit: WindowFit, validation: np.ndarray) -> Evidence:
+    found = _candidate(job.running, fit)
     return evidence_of(
         job.running, found, window, validation, fresh=job.fresh, elsewhere=job.elsewhere
     )
@@ -765,33 +765,36 @@ def _holds(
     )
 
 
-def _held_range(running: ParameterSet, window: Window) -> tuple[float, float]:
-    """Range [m/s] to which the set of a window limits the peak velocity.
+def _held_ranges(running: ParameterSet, window: Window) -> list[tuple[float, float]]:
+    """Ranges [m/s] to which the set of a window may limit the peak velocity, the usual one first.
 
-    A window fit keeps the dependence on the peak velocity, and so the range in which it is known.
+    Beyond the range in which it is known, the dependence on the peak velocity may be right or have
+    a pole, so a window beyond it is fitted both ways.
     """
-    if running.law.knows_speeds(running.observable):
-        return running.held_range
-    return window.peak_velocity_range
+    if not running.law.knows_speeds(running.observable):
+        return [window.peak_velocity_range]
+    known = running.held_range
+    wider = _wider_speeds(known, window.peak_velocity_range, window.motion.frequency)
+    return list(dict.fromkeys([known, wider]))
 
 
-def _candidate(running: ParameterSet, values: Array, window: Window) -> ParameterSet:
-    """A set with the values (p,) fitted to a window."""
-    return replace(running, values=values, dependence_range=_held_range(running, window))
+def _candidate(running: ParameterSet, fit: WindowFit) -> ParameterSet:
+    """The set of the fit of a window."""
+    return replace(running, values=fit.parameters, dependence_range=fit.held)
 
 
 def _wider_speeds(
-    running: ParameterSet, found: tuple[float, float], frequency: float
+    known: tuple[float, float], found: tuple[float, float], frequency: float
 ) -> tuple[float, float]:
-    """Peak velocity range [m/s] of the running set, extended by the range ``found`` of a window.
+    """The ``known`` range of the peak velocity [m/s], extended by the range ``found`` of a window.
 
     If ``frequency`` is NaN, the motion is not a sine, and the lower end stays.
     """
-    slowest = running.peak_velocity_range[0]
+    slowest = known[0]
     if math.isnan(frequency):
         # In a motion other than a sine, low values contain no information on the law at low speed.
         found = max(found[0], slowest), max(found[1], slowest)
-    return _wider(found, running.peak_velocity_range)
+    return _wider(found, known)
 
 
 def _new_set(
@@ -802,8 +805,7 @@ def _new_set(
     Parameters that were not fitted keep their values and errors. The set holds in the range of the
     window, and in that of the running set if its dependence on the peak velocity, or on the
     current, is known and agrees with the window. A window that is not a sine does not change the
-    lower end of a known range. The range in which the dependence on the peak velocity is known
-    stays.
+    lower end of a known range.
     """
     model = running.law
     errors, discrepancies = running.standard_errors.copy(), running.discrepancies.copy()
@@ -823,7 +825,8 @@ def _new_set(
     within = _holds(running, velocity_range, current_range)
     known = [similar and one and (agrees or two) for one, two in zip(knows, within, strict=True)]
     if known[0]:
-        velocity_range = _wider_speeds(running, velocity_range, window.motion.frequency)
+        speeds = running.peak_velocity_range
+        velocity_range = _wider_speeds(speeds, velocity_range, window.motion.frequency)
     if known[1]:
         current_range = _wider(current_range, running.current_range)
     if any(known):
@@ -839,7 +842,7 @@ def _new_set(
         observable=observable,
         peak_velocity_range=velocity_range,
         current_range=current_range,
-        dependence_range=running.held_range if knows[0] else None,
+        dependence_range=fit.held if knows[0] else None,
         largest_force=largest_force,
         **names,
     )

@@ -78,6 +78,23 @@ def test_the_set_of_a_window_beyond_the_known_range_holds_there(tracker: str) ->
     assert again.confirms
 
 
+def test_a_dependence_that_goes_on_is_used_beyond_the_range_in_which_it_was_known() -> None:
+    window = beyond()
+    clean = ParameterSet(known.PLAUSIBLE).window_force(window)
+    noise = np.random.default_rng(0).normal(0.0, known.NOISE, clean.size)
+    running = replace(RUNNING, values=known.weaker(0.8))
+    tracked = WindowTracker(TrackerSettings(global_period=0), running)
+    report = tracked.follow(raw(replace(window, force=clean + noise)))
+    assert report is not None
+    assert report.verdict is Verdict.ACCEPTED, report.reason
+    found = tracked.parameters
+    wider = RUNNING.peak_velocity_range[0], window.peak_velocity_range[1]
+    assert found.held_range == pytest.approx(wider)
+    error = known.rms(found.window_force(window) - clean)
+    # NRMSE of the 5 % of the samples that are faster still.
+    assert error < 0.02 * np.std(clean)
+
+
 def test_the_force_scale_of_a_window_beyond_the_known_range_is_right() -> None:
     settings = TrackerSettings(method="least_squares", global_period=0)
     tracked = WindowTracker(settings, RUNNING)
