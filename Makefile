@@ -12,7 +12,7 @@ TESTED := pytest -n 3 --dist worksteal
 PROGRAMS := install/mr_damper_ros/lib/mr_damper_ros
 STYLED := mr_damper_ros studies test scripts setup.py $(wildcard launch benchmarks doc examples)
 
-.PHONY: help setup demo live thesis control truth config doc bench soak test test-noble test-wheel lint format clean distclean
+.PHONY: help setup demo picture live thesis control truth config doc bench soak test test-noble test-wheel lint format clean distclean
 
 help: ## List the targets
 	@sed -nE 's/^([a-z-]+):[^#]*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name text; do
@@ -25,6 +25,11 @@ setup: ## Install what is missing and build both packages (a second call does no
 demo: setup ## Play a bag to identifier and model, then show a table and figures
 	@. ./env.bash
 	exec $(PROGRAMS)/demo $(ARGS)
+
+picture: setup ## Draw doc/demo.png, the first picture of the README, with the demo
+	@. ./env.bash
+	$(PROGRAMS)/demo --output build/demo
+	cp build/demo/5.0mm_1Hz_1.5A.png doc/demo.png
 
 live: setup ## Serve a page on which an emulated rig is identified, until Ctrl-C
 	@. ./env.bash

@@ -147,6 +147,14 @@ def error_entry(error: ErrorSums) -> dict[str, Any]:
 FORMATS = ("png", "svg", "pdf")
 
 
+def _heading(comparison: Comparison, title: str) -> str:
+    error = comparison.error
+    lines = [Path(comparison.name).name, *([title] if title else [])]
+    lines.append(f"NRMSE {error.nrmse:.2%}, RMSE {error.rmse:.3g} N")
+    lines += textwrap.wrap(comparison.provenance, 92)  # characters per line
+    return "\n".join(lines)
+
+
 def comparison_figure(comparison: Comparison, title: str = "") -> Figure:
     """Figure of a comparison: both loops, force and residual over time, residual histogram.
 
@@ -192,10 +200,7 @@ def comparison_figure(comparison: Comparison, title: str = "") -> Figure:
         for axis in axes.values():
             axis.grid(color="0.9", linewidth=0.6)
             axis.set_axisbelow(True)
-        lines = [Path(c.name).name, *([title] if title else [])]
-        lines.append(f"NRMSE {c.error.nrmse:.2%}, RMSE {c.error.rmse:.3g} N")
-        lines += textwrap.wrap(c.provenance, 92)  # characters per line
-        figure.suptitle("\n".join(lines), fontsize="medium")
+        figure.suptitle(_heading(c, title), fontsize="medium")
         handles, names = axes["velocity"].get_legend_handles_labels()
         figure.legend(handles, names, loc="lower center", ncols=2, markerscale=2.5)
         return figure
@@ -204,7 +209,10 @@ def comparison_figure(comparison: Comparison, title: str = "") -> Figure:
 def save_figures(
     comparisons: Iterable[Comparison], folder: Path, formats: Sequence[str], title: str = ""
 ) -> list[Path]:
-    """Save a figure of each comparison in all formats; returns the paths. Raises OSError."""
+    """Save a figure of each comparison in all formats; returns the paths. Raises OSError.
+
+    The heading of a figure is also the title in the metadata of its file.
+    """
     stems: list[str] = []
     written = []
     for comparison in comparisons:
@@ -216,7 +224,7 @@ def save_figures(
         stems.append(next(free for free in chain([stem], numbered) if free not in stems))
         for kind in formats:
             written.append(folder / f"{stems[-1]}.{kind}")
-            save_figure(figure, written[-1])
+            save_figure(figure, written[-1], metadata={"Title": _heading(comparison, title)})
     return written
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from mr_damper_ros.api.comparison import Comparison, save_figures, validate
 from mr_damper_ros.api.findings import estimates_table, parameter_estimates
 from mr_damper_ros.io.bag_reader import read_bag
+from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models.parameter_set import start_set
 from mr_damper_ros.processes.programs import Program, ProgramError, RosDomain, node_arguments
 from mr_damper_ros.report.document import text_table
@@ -174,7 +175,7 @@ def _predicted(recording: Recording, blocks: Sequence[Any], forces: Sequence[Any
         name=recording.name,
         time=number * recording.period,
         displacement=moved,
-        velocity=np.gradient(moved, recording.period),
+        velocity=window_motion(moved, recording.period).velocity,
         measured=measured,
         predicted=force,
         provenance=recording.details.get("provenance", ""),

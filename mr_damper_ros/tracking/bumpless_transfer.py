@@ -99,7 +99,7 @@ class ForceInUse:
             self._recompute()
         elif before is None or before.model != parameters.model:
             self._restart()
-        elif parameters.law.remembers:
+        elif self.state:
             self._recompute()
 
     def forget_known(self) -> None:

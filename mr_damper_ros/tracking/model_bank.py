@@ -44,9 +44,6 @@ _JUDGED_TIME = 2.0 * FADE_TIME
 """A set is judged over this time [s], or over this fraction of a half-cycle if that is longer.
 Before that, its law settles for twice this time. Searches are at least half this time apart."""
 
-_TURNING_EVERY = 5.0
-"""Seconds between two comparisons of the branch rules."""
-
 _BETTER_RATIO = 0.6
 """A set replaces a wrong set if its error is below this multiple of the wrong set's error."""
 
@@ -199,7 +196,7 @@ class ModelBank:
         self._period = math.nan
         self._half_cycle = 0.0
         self._since_search = math.inf
-        self._since_turning = 0.0
+        self._since_turning = math.inf
         self._turning = 0.0  # log of (error of a jumping force / of a gradual one)
         # The current schedule: the sets of the newest windows at one current each, newest first,
         # and the set for all operating points.
@@ -451,8 +448,7 @@ class ModelBank:
         self._period = period
         self._half_cycle = 0.0 if math.isnan(half_cycle) else half_cycle
         self._rows.add((*motion.arrays, current, *forces), count)
-        span = max(2.0 * self._half_cycle, self._judged + 2.0 * _JUDGED_TIME) / period
-        self._rows.keep(max(int(min(span, 20 * _MOST_TRIED)), count))
+        self._rows.keep(max(int(min(self._kept / period, 20 * _MOST_TRIED)), count))
 
     def _newest(self, time: float = math.inf) -> JudgedSamples:
         """The samples of the last ``time`` [s], subsampled if there are too many."""
@@ -477,9 +473,10 @@ class ModelBank:
             self._since_search = 0.0
             found = self._better(allowed, wrong=wrong)
             return self.with_other_branch_rule() if found is None and wrong else found
-        if not self._measured or self._since_turning < _TURNING_EVERY:
+        # A start set says nothing about reversals, and no sample counts twice.
+        evident = self._measured and self._sets[0].parameters.has_evidence
+        if not evident or self._since_turning < self._kept:
             return None
-        self._since_turning = 0.0
         return self.with_other_branch_rule()
 
     def _better(self, allowed: float, *, wrong: bool) -> Choice | None:
@@ -509,24 +506,33 @@ class ModelBank:
         """The present set, if the other branch rule fits the newest cycle better; else None.
 
         The other rule is used from now on. Returns None also if there is less than a half-cycle of
-        samples, or if the law has a single branch rule.
+        samples, or if the law has a single branch rule. The rules give the same force except near
+        reversals, so each error counts in proportion to the difference between the forces.
         """
         present = self._sets[0]
         law = present.parameters.law
-        if law.continuous is law or self._rows.count * self._period < self._half_cycle:
+        if law.continuous is law or not 0.0 < self._half_cycle <= self._rows.count * self._period:
             return None
+        self._since_turning = 0.0
         newest = self._newest()
-        errors = [
-            max(_root_mean_square(newest.residual_of(newest.force_of(present, gradual))), 1e-9)
-            for gradual in (False, True)
+        residuals = [
+            newest.residual_of(newest.force_of(present, gradual)) for gradual in (False, True)
         ]
+        weights = np.abs(residuals[1] - residuals[0])
+        weights /= weights.max(initial=1e-9)
+        errors = [max(_root_mean_square(residual * weights), 1e-9) for residual in residuals]
         decides = -math.log(_BETTER_RATIO)
         shown = float(np.clip(math.log(errors[0] / errors[1]), -2.0 * decides, 2.0 * decides))
         self._turning = _EVIDENCE_DECAY * self._turning + shown
         if not (-self._turning if self.gradual else self._turning) > decides:
             return None
         self.gradual = not self.gradual
-        return present, errors[self.gradual]
+        return present, _root_mean_square(residuals[self.gradual])
+
+    @property
+    def _kept(self) -> float:
+        """Time [s] of the newest samples that are kept: at least a cycle."""
+        return max(2.0 * self._half_cycle, self._judged + 2.0 * _JUDGED_TIME)
 
     @property
     def _judged(self) -> float:

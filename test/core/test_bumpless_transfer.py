@@ -9,7 +9,7 @@ import pytest
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.bumpless_transfer import FADE_TIME, ForceInUse
@@ -121,6 +121,18 @@ def test_the_state_is_that_of_the_new_set_and_its_range(fastest: float) -> None:
     force = follow(made, motion.part(slice(800, None)))
     expected = all_along(after, motion, 1.0)[800:]
     np.testing.assert_allclose(force, expected, rtol=0.0, atol=RECOMPUTED)
+
+
+def test_the_branch_at_a_reversal_is_that_of_the_new_set() -> None:
+    motion, after = RUN.window.motion.part(slice(600)), set_of("sigmoid")
+    made = ForceInUse(known.PERIOD)
+    made.use(start_set("sigmoid"), gradual=True, fade=False)
+    # The reversal at sample 500 takes longer with the wide loop of the start set.
+    follow(made, motion.part(slice(550)))
+    made.use(after, gradual=True, fade=True)
+    force = follow(made, motion.part(slice(550, None)))
+    expected, _ = after.follow(motion, np.ones(600), known.PERIOD, None, gradual=True)
+    np.testing.assert_allclose(force, expected[550:], rtol=0.0, atol=RECOMPUTED)
 
 
 def test_as_much_is_followed_again_as_the_law_remembers_at_this_current() -> None:

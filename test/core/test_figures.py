@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from mr_damper_ros.api.comparison import Comparison, comparison_figure, save_figures
 from mr_damper_ros.tools import identify, validate
@@ -60,3 +61,10 @@ def test_the_programs_draw_what_is_asked_for(tmp_path: Path) -> None:
     drawing = ["--plot", str(tmp_path / "validate"), "--plot-format", "svg"]
     assert validate.main([str(output), str(BAG), *drawing]) == 0
     assert (tmp_path / "validate" / f"{BAG.name}.svg").exists()
+
+
+def test_the_heading_of_a_figure_is_the_title_of_its_file(tmp_path: Path) -> None:
+    run = comparison(provenance=SYNTHETIC)
+    (drawn,) = save_figures([run], tmp_path, ["png"], "one set")
+    with Image.open(drawn) as image:
+        assert image.info["Title"] == comparison_figure(run, "one set")._suptitle.get_text()
