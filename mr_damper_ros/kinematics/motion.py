@@ -145,16 +145,19 @@ class SavitzkyGolay:
         self._offsets = np.arange(-self._half, self._half + 1) / self._half
         self._fit = np.linalg.pinv(np.vander(self._offsets, order + 1, increasing=True))
 
-    def squared_change(self, shorter: SavitzkyGolay | None = None) -> float:
-        """Power of the first derivative, per sample, that this filter gives for unit white noise.
+    def noise_gain(self, shorter: SavitzkyGolay | None = None) -> float:
+        """Power of the second derivative, per sample, that this filter gives for unit white noise.
 
         With a ``shorter`` filter, the power of the difference between the derivatives of both.
         """
-        weights = self._fit[1] / self._half
+        weights = self._curvature
         if shorter is not None:
-            margin = self._half - shorter._half
-            weights = weights - np.pad(shorter._fit[1] / shorter._half, margin)
+            weights = weights - np.pad(shorter._curvature, self._half - shorter._half)
         return float(weights @ weights)
+
+    @property
+    def _curvature(self) -> Array:
+        return np.asarray(2.0 / self._half**2 * self._fit[2])
 
     def derivative(self, values: Array, order: int = 0, period: float = 1.0) -> Array:
         """Derivative (n,) of values (n,) sampled every ``period`` [s]; order 0 smooths them.
@@ -173,6 +176,10 @@ class SavitzkyGolay:
 
 
 _POLYNOMIAL_ORDER = 4
+
+_NOISE_RISE = 4.0
+"""A longer filter may remove so many times the power of the noise that the shorter ones removed.
+The noise of sensors is not white, but a motion rises more steeply."""
 
 
 class DataError(ValueError):
@@ -241,36 +248,40 @@ class Motion:
 
 
 def _smooth(displacement: Array, period: float) -> tuple[Array, Array, Array]:
-    """Displacement, velocity and acceleration from the filter with the least velocity error.
+    """Displacement and velocity, and the acceleration from the next longer filter.
 
-    The expected mean square error is the sum of the noise that the filter passes and its squared
-    bias. The previous filter is two thirds as long and has a fifth of the bias, so the squared bias
-    is estimated as the power of the difference between the two filters in excess of noise. In
-    emulated random motion with eight kinds of noise, the velocity error is 1.0 times the error with
-    the best length (median; at most 3.1 times).
+    Each filter is half as long again as the previous one. It is better as long as the part of the
+    second derivative that it removes besides the previous one can be noise. The best filter for
+    the velocity is the next shorter one. In emulated random motion, sweeps and earthquakes with
+    eight kinds of noise, the velocity error is 1.10 times the error with the best length (geometric
+    mean; at most 4.2 times), and that of the acceleration 1.5 times.
     """
     # A motion near the sample rate shows in the lower differences, too.
     noise = min(noise_power(displacement), noise_power(displacement, 8))
     length = _POLYNOMIAL_ORDER + 3
     # The polynomial through all samples of the shortest filter has hardly any bias.
-    best = shorter = SavitzkyGolay(length, length - 1)
-    least, before = noise * best.squared_change(), best.derivative(displacement, 1)
+    shorter = SavitzkyGolay(length, length - 1)
+    before = shorter.derivative(displacement, 2)
+    found = shorter, shorter
+    excess = least = 0.0
     while length < displacement.size // 2:
-        smoother = SavitzkyGolay(length, _POLYNOMIAL_ORDER)
-        velocity = smoother.derivative(displacement, 1)
-        half = smoother.length // 2
-        change = (velocity - before)[half:-half]
-        passed = noise * smoother.squared_change(shorter)
-        bias = max(float(change @ change) / change.size - passed, 0.0)
-        error = bias + noise * smoother.squared_change()
-        if error < least:
-            best, least = smoother, error
-        elif bias > least:
+        longer = SavitzkyGolay(length, _POLYNOMIAL_ORDER)
+        curvature, half = longer.derivative(displacement, 2), longer.length // 2
+        removed, gain = (curvature - before)[half:-half], longer.noise_gain(shorter)
+        power = float(removed @ removed) / removed.size
+        excess += power - _NOISE_RISE * noise * gain
+        if excess < least:
+            found, least = (shorter, longer), excess
+        elif excess - least > noise * found[1].noise_gain():
             break
-        shorter, before = smoother, velocity
+        noise, shorter, before = power / gain, longer, curvature
         length = 2 * (3 * length // 4) + 1
-    u, v, a = (best.derivative(displacement, order, period) for order in range(3))
-    return u, v, a
+    for_velocity, for_acceleration = found
+    return (
+        for_velocity.derivative(displacement, 0, period),
+        for_velocity.derivative(displacement, 1, period),
+        for_acceleration.derivative(displacement, 2, period),
+    )
 
 
 def window_motion(displacement: Array, period: float) -> Motion:
