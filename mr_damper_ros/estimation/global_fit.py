@@ -25,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import (
+    SAME_MOTION,
     SIGNIFICANT,
     CyclePhases,
     error_covariances,
@@ -458,7 +459,7 @@ class GlobalSearch:
         top_current = max(map(abs, currents))
         self._neutral = model.without_dependence(start, top_current)
         self._own_neutral = model.without_dependence(model.initial_values()[0], top_current)
-        self.free = self._marked(varied_parameters(model, speeds, currents))
+        self.free = self.model.marked(varied_parameters(model, speeds, currents))
         self._ranges = parameter_ranges(model, windows)
         self._excerpts = Excerpts(model, windows, _SEARCHED)
         self._fitted = Excerpts(model, windows, _FITTED)
@@ -474,9 +475,6 @@ class GlobalSearch:
         self._tried: set[tuple[bytes, bytes]] = set()
         self.shortcoming = ""
         self.candidates: list[Candidate] = []
-
-    def _marked(self, names: Iterable[str]) -> np.ndarray:
-        return np.isin(self.model.parameter_names, list(names))
 
     def _named(self, marked: np.ndarray) -> frozenset[str]:
         return frozenset(compress(self.model.parameter_names, marked))
@@ -581,13 +579,14 @@ class GlobalSearch:
 
     def _starts(self) -> dict[str, Array]:
         """Starts for the search on the samples, by origin."""
-        speeds, currents = np.array([fit.operating_point for fit in self.fits]).T
+        fits = self._fits_by_speed() if self.model.knows_speeds(self.free) else self.fits
+        speeds, currents = np.array([fit.operating_point for fit in fits]).T
         table = CoefficientTable(
             speeds,
             currents,
-            np.array([fit.coefficients for fit in self.fits]),
+            np.array([fit.coefficients for fit in fits]),
             # Rounding may make the variance of a weakly determined coefficient negative.
-            np.sqrt([np.diag(fit.coefficient_covariance).clip(min=0.0) for fit in self.fits]),
+            np.sqrt([np.diag(fit.coefficient_covariance).clip(min=0.0) for fit in fits]),
         )
         varied = varied_parameters(self.model, speeds.tolist(), currents.tolist())
         starts = {
@@ -595,11 +594,32 @@ class GlobalSearch:
                 table, self._prior().centre, varied & self._named(self.free), self._evolved
             ),
             "the coefficients of one window": min(
-                (fit.parameters for fit in self.fits), key=self.pooled.mean_square
+                (fit.parameters for fit in fits), key=self.pooled.mean_square
             ),
             "the start": self.start,
         }
         return starts if self.earlier is None else {**starts, "an earlier search": self.earlier}
+
+    def _fits_by_speed(self) -> list[WindowFit]:
+        """Separate fits of the parts of each window with low, medium and high peak velocity.
+
+        The coefficients of a whole window of varying peak velocity are those of none.
+        """
+        fits: list[WindowFit] = []
+        for window, whole in zip(self._excerpts.stretches, self.fits, strict=True):
+            speeds = window.motion.peak_velocity
+            low, *limits, high = np.quantile(speeds, (0.1, 1 / 3, 2 / 3, 0.9)).tolist()
+            if high <= low * (1.0 + SAME_MOTION):
+                fits.append(whole)
+                continue
+            place = np.searchsorted(limits, speeds, side="right")
+            parts = [window.part(place == k) for k in range(len(limits) + 1)]
+            for part in parts:
+                starts = [self._neutral, *(fit.parameters for fit in fits[-1:])]
+                left = [self.model.window_force(part, each) - part.force for each in starts]
+                start = starts[int(np.argmin(np.linalg.norm(left, axis=-1)))]
+                fits.append(self._fit_window(part, start))
+        return fits
 
     def _evolved(
         self,
@@ -647,13 +667,15 @@ class GlobalSearch:
             if not costs[origin] < _SKIPPED_COST * least:
                 continue
             ended = self._rough(starts[origin], self.free)
+            # How good a start is shows only at its minimum.
+            ended = self._most_probable(self.pooled, ended, self.free)
             found.append(Candidate(origin, ended, self.pooled.mean_square(ended)))
         least = min(candidate.cost for candidate in found)
         cycles = any(holds_cycle(window.motion.displacement) for window in self.windows)
         if least > _POOR_COST and not cycles and method != "differential_evolution":
             # If windows hold only parts of strokes, the separate fit of one of them may be a better
             # start than the laws.
-            scales = self.free & self._marked(self.model.linear)
+            scales = self.free & self.model.marked(self.model.linear)
             own = [self._least_squares(self.pooled, fit.parameters, scales) for fit in self.fits]
             for start in sorted(own, key=self.pooled.mean_square)[:_MOST_SEPARATE]:
                 ended = self._least_squares(self.pooled, start, self.free)
@@ -701,8 +723,8 @@ class GlobalSearch:
         """
         held = np.zeros_like(marked)
         singles = ({name} for name in sorted(self._named(marked)))
-        groups = [marked & self._marked(law) for law in (*self.model.shape_groups, *singles)]
-        searched = self.free & self._marked(self._ranges)
+        groups = [marked & self.model.marked(law) for law in (*self.model.shape_groups, *singles)]
+        searched = self.free & self.model.marked(self._ranges)
         for target in (np.where(searched, self._prior().centre, self.start), self._neutral):
             for group in (marked, *groups):
                 asked = group & ~held
@@ -839,7 +861,7 @@ class GlobalSearch:
         only_with = determination_of(known, self.windows, best).partners(
             dict(zip(self.model.parameter_names, errors.tolist(), strict=True))
         )
-        joint = self._marked(only_with)
+        joint = self.model.marked(only_with)
         spread, frequency = self._spread(free)
         errors_of_set = [error_of_set(parameter_set, [window]) for window in self.windows]
         shortcoming = self.shortcoming
@@ -904,6 +926,7 @@ class GlobalSearch:
             set_id=name,
             source=name,
             peak_velocity_range=(slow, fast),
+            dependence_range=(slow, float(speeds.max())),
             current_range=(float(currents.min()), float(currents.max())),
             model=self.model.name,
             largest_force=max(window.largest_force for window in windows),

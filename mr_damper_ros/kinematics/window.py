@@ -430,6 +430,14 @@ class Window:
         low, high = np.quantile(self.motion.peak_velocity, (0.05, 0.95)).tolist()
         return low, high
 
+    @property
+    def dependence_range(self) -> tuple[float, float]:
+        """Range of the peak velocity [m/s] in which a fit determines the dependence on it.
+
+        The lowest values occur in small ripples, whose force hardly depends on them.
+        """
+        return self.peak_velocity_range[0], float(self.motion.peak_velocity.max())
+
     @cached_property
     def operating_point(self) -> tuple[float, float]:
         """Representative peak velocity [m/s] and current [A] of the window.

@@ -9,7 +9,7 @@ depends on the specific model. A stream computes the force of a continuing motio
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from itertools import compress
 from typing import ClassVar
@@ -117,6 +117,10 @@ class Model(ABC):
         """Indices of the named parameters in a parameter array."""
         every = self.parameter_names
         return np.array([every.index(name) for name in names], dtype=int)
+
+    def marked(self, names: Iterable[str]) -> np.ndarray:
+        """Flags (p,) that mark the named parameters."""
+        return np.isin(self.parameter_names, list(names))
 
     def completed(self, values: Array) -> Array:
         """The values (p,) with defaults appended for omitted parameters at the end."""

@@ -20,6 +20,7 @@ import numpy as np
 from mr_damper_ros.estimation.covariance import ENOUGH_TO_COMPARE, SAME_MOTION
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
+from mr_damper_ros.estimation.observability import operating_points_within, varied_parameters
 from mr_damper_ros.estimation.window_fit import (
     WINDOW_METHODS,
     WORSE_RATIO,
@@ -265,9 +266,10 @@ class TrackerSettings(CheckedSettings):
         20,
         "Number of good windows between two global identifications, with shorter intervals at "
         "the start (after 1, 2, 3, 4, 6, 9 and so on); 0: never. A global identification needs "
-        "windows at two operating points. It runs sooner if the dependence on current does not "
-        "fit, and with model sigmoid_lag after the first accepted window, because window fits do "
-        "not determine the lag.",
+        "windows at two operating points, or one window of varying peak velocity while the "
+        "dependence on the peak velocity is unknown. It runs sooner if the dependence on current "
+        "does not fit, and with model sigmoid_lag after the first accepted window, because window "
+        "fits do not determine the lag.",
         within=(0, 1_000_000),
     )
     evolution: EvolutionSettings = group(EvolutionSettings)
@@ -461,7 +463,16 @@ def _search_is_due(
         # one operating point does. That point may be a poor one, so searches at the next points may
         # correct the result.
         return memory.accepted_since_global > 0 and memory.accepted <= period
-    return memory.accepted_since_global >= min(period, memory.global_patience) and points > 1
+    if memory.accepted_since_global < min(period, memory.global_patience):
+        return False
+    return points > 1 or any(_shows_more(used, each) for each in memory.points.windows)
+
+
+def _shows_more(used: ParameterSet, window: Window) -> bool:
+    """Whether one window of varying peak velocity shows a dependence on it that is unknown."""
+    law = used.law
+    varied = varied_parameters(law, *operating_points_within([window]))
+    return not law.knows_speeds(used.observable) and law.knows_speeds(law.marked(varied))
 
 
 # -- a window --------------------------------------------------------------------------------
@@ -612,10 +623,10 @@ def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) ->
     # Only a set that was identified on this damper is evidence.
     prior = running if running.observable.any() else None
     fitted = partial(fit_window, running.law, robust=options.robust, prior=prior)
+    searched = partial(fitted, method=options.method, should_stop=should_stop)
     training, trials = window.part(~validation), []
     for held in _held_ranges(running, window):
-        asked = {"method": options.method, "should_stop": should_stop, "held": held}
-        trial = fitted(training, running.values, **asked)
+        trial = searched(training, running.values, held=held)
         trials.append((trial, _evidence(job, window, trial, validation)))
     trained, evidence = min(trials, key=lambda each: np.nan_to_num(each[1].rmse_after, nan=np.inf))
     # The published set uses all samples; the validation samples only serve the acceptance test.
@@ -772,9 +783,9 @@ def _held_ranges(running: ParameterSet, window: Window) -> list[tuple[float, flo
     a pole, so a window beyond it is fitted both ways.
     """
     if not running.law.knows_speeds(running.observable):
-        return [window.peak_velocity_range]
+        return [window.dependence_range]
     known = running.held_range
-    wider = _wider_speeds(known, window.peak_velocity_range, window.motion.frequency)
+    wider = _wider_speeds(known, window.dependence_range, window.motion.frequency)
     return list(dict.fromkeys([known, wider]))
 
 
@@ -842,7 +853,7 @@ def _new_set(
         observable=observable,
         peak_velocity_range=velocity_range,
         current_range=current_range,
-        dependence_range=fit.held if knows[0] else None,
+        dependence_range=fit.held,
         largest_force=largest_force,
         **names,
     )

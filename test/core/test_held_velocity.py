@@ -88,11 +88,11 @@ def test_a_dependence_that_goes_on_is_used_beyond_the_range_in_which_it_was_know
     assert report is not None
     assert report.verdict is Verdict.ACCEPTED, report.reason
     found = tracked.parameters
-    wider = RUNNING.peak_velocity_range[0], window.peak_velocity_range[1]
+    wider = RUNNING.peak_velocity_range[0], window.motion.peak_velocity.max()
     assert found.held_range == pytest.approx(wider)
     error = known.rms(found.window_force(window) - clean)
-    # NRMSE of the 5 % of the samples that are faster still.
-    assert error < 0.02 * np.std(clean)
+    # NRMSE of a fit to this noise.
+    assert error < 0.005 * np.std(clean)
 
 
 def test_the_force_scale_of_a_window_beyond_the_known_range_is_right() -> None:
@@ -112,7 +112,7 @@ def test_without_a_known_dependence_a_fit_is_held_within_its_own_window() -> Non
     start = ParameterSet(known.PLAUSIBLE)
     tracked = WindowTracker(TrackerSettings(global_period=0), start)
     tracked.follow(raw(window))
-    assert tracked.parameters.held_range == pytest.approx(window.peak_velocity_range)
+    assert tracked.parameters.held_range == pytest.approx(window.dependence_range)
 
 
 def test_a_set_that_is_held_before_its_force_explodes_is_plausible() -> None:
