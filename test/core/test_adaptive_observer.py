@@ -1,7 +1,10 @@
 """The observer whose bandwidth follows the motion and the noise."""
 
+import math
+
 import numpy as np
 import pytest
+from random_motion import BandLimitedRandom
 
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.kinematics.observer import (
@@ -39,6 +42,19 @@ def test_it_comes_near_to_the_best_fixed_bandwidth(frequency: float, period: flo
     # The error may be up to four times that of the best fixed bandwidth, because for a pure sine
     # the best one is only just wide enough, and the observer keeps a margin.
     assert error_after(AdaptiveObserver(period), u, a) < 4.0 * best
+
+
+def test_noise_that_is_not_white_does_not_widen_it() -> None:
+    period, count = 1e-3, 40_000
+    motion = BandLimitedRandom(rms=3e-3, low=0.2, high=3.0, seed=1).at(period * np.arange(count))
+    white = 10 * NOISE * np.random.default_rng(3).standard_normal(count)
+    filtered = np.convolve(white, np.ones(3) / math.sqrt(3.0), "same")
+    errors = [
+        error_after(AdaptiveObserver(period), motion.displacement + noise, motion.acceleration)
+        for noise in (white, filtered)
+    ]
+    # Of the acceleration; with the bandwidth of a start from rest it would be 19 times as large.
+    assert errors[1] < 8.0 * errors[0]
 
 
 def test_it_widens_when_the_motion_becomes_faster() -> None:

@@ -188,7 +188,7 @@ def test_velocity_and_acceleration_of_any_motion_are_near_the_best_there_is(
     assert found[0] < NEAR_THE_BEST * best[0]
 
 
-@pytest.mark.parametrize("kind", ["white", "bursts", "heavy-tailed", "digital"])
+@pytest.mark.parametrize("kind", ["white", "bursts", "heavy-tailed", "digital", "filtered"])
 def test_the_noise_of_a_long_random_record_may_be_of_any_kind(kind: str) -> None:
     count, size = 20_000, 1e-4
     truth = BandLimitedRandom(rms=5e-3, low=0.4, high=3.0, seed=2).at(0.01 * np.arange(count))
@@ -201,6 +201,7 @@ def test_the_noise_of_a_long_random_record_may_be_of_any_kind(kind: str) -> None
             "bursts": noise * np.where(np.sin(np.arange(count) / 500.0) > 0.9, 4.0, 1.0),
             "heavy-tailed": size / math.sqrt(3.0) * rng.standard_t(3, count),
             "digital": np.zeros(count),
+            "filtered": np.convolve(noise, np.ones(3) / math.sqrt(3.0), "same"),
         }[kind]
     )
     if kind == "digital":
