@@ -13,8 +13,10 @@ from __future__ import annotations
 
 import math
 import warnings
+from bisect import bisect_left
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import compress
+from operator import ne
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -183,11 +185,21 @@ class InverseModel:
         period: float = 1e-3,
         state: State | None = None,
     ) -> Inversion:
-        """The current for a force [N] at one sample, as in :meth:`currents`."""
-        held = sample.held_within(*self._range)
-        at_nodes = self._response.forces([held], self._nodes, period, state)[0].tolist()
+        """The current for a force [N] at one sample, as in :meth:`currents`.
+
+        If the force lies between those at the two nodes beside the ``last`` current, as is usual,
+        no other nodes are tried; ``least`` and ``most`` are then the forces at these two.
+        """
+        held, nodes = sample.held_within(*self._range), self._node_list
         force_at = self._response.at(held, period, state)
-        return _search(force_at, self._node_list, at_nodes, wanted, last)
+        if not (last is None or math.isnan(last)):
+            cell = min(max(bisect_left(nodes, last) - 1, 0), NODES - 2)
+            beside = nodes[cell : cell + 2]
+            forces = [force_at(current) for current in beside]
+            if min(forces) <= wanted <= max(forces):
+                return _search(force_at, beside, forces, wanted, last)
+        forces = self._response.forces([held], self._nodes, period, state)[0].tolist()
+        return _search(force_at, nodes, forces, wanted, last)
 
     def follow(
         self, motion: Motion, wanted: ArrayLike, period: float, state: State | None = None
@@ -247,7 +259,7 @@ def _search(
 
 def _cell(nodes: list[float], above: list[bool], last: float | None) -> int:
     """The first bracketing cell, or the one nearest to the last current."""
-    cells = [place for place, pair in enumerate(pairwise(above)) if pair[0] != pair[1]]
+    cells = [*compress(range(len(above)), map(ne, above, above[1:]))]
     if last is None or math.isnan(last):
         return cells[0] if cells else 0
     return min(cells, key=lambda k: max(nodes[k] - last, last - nodes[k + 1], 0.0), default=0)

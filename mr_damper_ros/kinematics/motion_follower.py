@@ -21,7 +21,7 @@ from mr_damper_ros.kinematics.observer import (
     possible_bandwidths,
 )
 from mr_damper_ros.kinematics.peak_velocity import HALF_CYCLES, REVERSAL, PeakVelocity
-from mr_damper_ros.signals.arrays import NEGLIGIBLE, Array, RollingRows
+from mr_damper_ros.signals.arrays import NEGLIGIBLE, Array, RollingRows, constant, largest_magnitude
 
 _CYCLES = 1.5
 """Longest fit in cycles; the first fit covers one cycle. A longer fit averages more; a shorter one
@@ -54,9 +54,9 @@ class SineFollower:
         self._most = max(round(memory / period), 2)
         self._samples = RollingRows(1)
         self._omega = 0.0
-        # Weights of sine, cosine and offset, with the phase at the last sample of the fit (None
+        # Amplitude [m], phase [rad] at the last sample of the fit and offset [m] of the sine (None
         # without a steady sine); samples since that fit; and the allowed residual [m].
-        self._weights: Array | None = None
+        self._sine: tuple[float, float, float] | None = None
         self._since = 0
         self._allowed = 0.0
         # Number of fitted samples since the present sine began.
@@ -67,27 +67,26 @@ class SineFollower:
     @property
     def amplitude(self) -> float:
         """Amplitude of the sine [m]; NaN without a sine."""
-        return math.nan if self._weights is None else math.hypot(*self._weights[:2].tolist())
+        return math.nan if self._sine is None else self._sine[0]
 
     def motion_of(self, displacement: Array, unlearned: int) -> Motion | None:
         """Motion of samples (n,) that match the sine within their noise; None if they do not.
 
         ``unlearned`` is the number of samples since the last one passed to :meth:`learn`.
         """
-        if self._weights is None:
+        if self._sine is None:
             return None
-        by_sine, by_cosine, offset = self._weights.tolist()
+        amplitude, phase, offset = self._sine
         first = self._since + unlearned + 1
-        angle = self._omega * self._period * np.arange(first, first + displacement.size)
-        sine, cosine = np.sin(angle), np.cos(angle)
-        centred = by_sine * sine + by_cosine * cosine
-        if np.abs(centred + offset - displacement).max() > _END_OF_SINE * self._allowed:
+        angle = self._omega * self._period * np.arange(first, first + displacement.size) + phase
+        centred, fastest = amplitude * np.sin(angle), self._omega * amplitude
+        if largest_magnitude(centred + offset - displacement) > _END_OF_SINE * self._allowed:
             return None
         return Motion(
             displacement=centred,
-            velocity=self._omega * (by_sine * cosine - by_cosine * sine),
+            velocity=fastest * np.cos(angle),
             acceleration=-(self._omega**2) * centred,
-            peak_velocity=np.full(angle.size, self._omega * self.amplitude),
+            peak_velocity=constant(fastest, angle.size),
             sine=None,
         )
 
@@ -110,7 +109,7 @@ class SineFollower:
         cycle = 2.0 * math.pi / self._omega / self._period
         if not is_new and self._since < cycle / _FITS_PER_CYCLE:
             return
-        self._weights = None
+        self._sine = None
         # Samples from before the sine are excluded from the fit.
         self._length = max(self._length + self._since, round(cycle))
         self._since = 0
@@ -121,18 +120,20 @@ class SineFollower:
             return
         recent = samples.newest[0, -min(self._length, round(_CYCLES * cycle)) :]
         stride = max(recent.size // _POINTS, 1)
-        # Time is relative to the newest sample, so the weights also hold for a new frequency.
+        # Time is relative to the newest sample, so the phase also holds for a new frequency.
         time: Array = self._period * np.arange(1.0 - recent.size, 1.0, stride)
         self._omega, weights, left = refined_sine(
             time, recent[::stride], self._omega, steps=None if is_new else 1
         )
-        self._allowed = allowed_residual(math.hypot(*weights[:2]), recent[-_POINTS:])
+        by_sine, by_cosine, offset = weights.tolist()
+        amplitude = math.hypot(by_sine, by_cosine)
+        self._allowed = allowed_residual(amplitude, recent[-_POINTS:])
         if left <= self._allowed:
-            self._weights = weights
+            self._sine = amplitude, math.atan2(by_cosine, by_sine), offset
         else:
             # The frequency may be wrong; the next search starts from the reversals.
             self._omega = 0.0
-            is_near = left <= NO_SINE * math.hypot(*weights[:2])
+            is_near = left <= NO_SINE * amplitude
             self._wait = round(cycle / _FITS_PER_CYCLE if is_near else _PATIENCE * cycle)
 
 

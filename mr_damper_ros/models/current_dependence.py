@@ -87,6 +87,7 @@ class CurrentDependentModel(Model):
         plain = self.starts_at_one_current(reading)
         return np.hstack([plain, np.zeros((len(plain), len(self.parameters) - plain.shape[1]))])
 
+    @np.errstate(over="ignore", invalid="ignore")
     def follow_in_coil(
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
     ) -> tuple[Array, State]:

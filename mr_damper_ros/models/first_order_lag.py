@@ -15,7 +15,7 @@ import numpy as np
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.formulas import Formulas, staged
 from mr_damper_ros.models.quantities import Parameter, State
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import FEW, Array
 
 LAG: Formulas = (
     ("mean_tau", "clip(0.5 * (tau_before + tau), 1e-9 * period, 1e9 * period)"),
@@ -160,11 +160,6 @@ PLAUSIBLE_COIL = 0.2
 def coil_parameter() -> Parameter:
     """The parameter of the coil's lag, the last one of a law; it is 0 if a file omits it."""
     return Parameter(COIL, "s", 0.0, 1.0, currents=2, default=0.0)
-
-
-FEW = 64
-"""Number of samples up to which scalar code is faster. NumPy takes a microsecond for each of a
-hundred operations, even on short arrays."""
 
 
 def coil_current(

@@ -236,10 +236,8 @@ class ParameterSet:
         ``current`` [A] has shape (n,); ``state`` is the state after the previous sample;
         ``gradual`` is as in :meth:`law_turning`.
         """
-        with np.errstate(over="ignore", invalid="ignore"):
-            return self.law_turning(gradual=gradual).follow(
-                self.values, self.held(motion), current, period, state
-            )
+        law = self.law_turning(gradual=gradual)
+        return law.follow(self.values, self.held(motion), current, period, state)
 
     def window_force(self, window: Window, *, gradual: bool | None = False) -> Array:
         """Force (n,) [N] predicted at the samples of a window.

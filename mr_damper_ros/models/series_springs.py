@@ -228,6 +228,7 @@ class SeriesSprings(IntegratedModel):
             recursions.append(Recursion((coefficients[spring],), ((kept,),), (by,)))
         return direct, recursions
 
+    @np.errstate(over="ignore", invalid="ignore")
     def follow_in_coil(
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
     ) -> tuple[Array, State]:

@@ -27,6 +27,7 @@ from mr_damper_ros.nodes.messages import (
     report_of,
 )
 from mr_damper_ros.nodes.node_parameters import NodeParameters
+from mr_damper_ros.nodes.rclpy_internals import now_ns
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.tracking.predictor import ForcePredictor
@@ -211,13 +212,13 @@ class BlockNode(Node, Generic[Options, Answer]):
     def _take_block(self, block: SampleBlock) -> None:
         began = time.perf_counter()
         self._finish_work()
-        now_ns = self.get_clock().now().nanoseconds
+        present_ns = now_ns(self)
         freshness = self._predictor.freshness
-        if freshness.are_older(block.end_ns, now_ns, self._late):
+        if freshness.are_older(block.end_ns, present_ns, self._late):
             block, skipped = self._inputs.skip_to_newest(block, self._predictor.predict)
             self._skipped += skipped
-            now_ns = self.get_clock().now().nanoseconds
-        answer = self._publish_answer(block, now_ns)
+            present_ns = now_ns(self)
+        answer = self._publish_answer(block, present_ns)
         self._work = partial(self._finish, answer, block)
         # The subscribers of the answer run first if they share a core with this process.
         self._due = time.perf_counter() + 1e-3

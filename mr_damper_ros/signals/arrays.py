@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from statistics import NormalDist
 from typing import Annotated, Any
 
@@ -21,6 +22,10 @@ Mask = NDArray[np.bool_]
 """Array of booleans, one for each sample."""
 
 
+FEW = 64
+"""Number of samples up to which scalar code is faster. NumPy takes a microsecond for each
+operation, even on short arrays."""
+
 _LARGEST = 1e12
 """Largest magnitude of a sample, in SI units: no machine reaches it, and no product overflows."""
 
@@ -31,6 +36,13 @@ def usable(values: Array) -> Mask:
     Instruments send 9.91e37 for a missing value. LAPACK may never return from an infinity.
     """
     return np.asarray(np.abs(values) <= _LARGEST)
+
+
+def all_usable(values: Array) -> bool:
+    """Whether all values (n,) are usable, with a fast path for a few samples."""
+    if values.size <= FEW and sum(map(abs, values.tolist())) <= _LARGEST:
+        return True
+    return bool(usable(values).all())
 
 
 def samples_of(values: ArrayLike) -> Array:
@@ -45,11 +57,25 @@ def samples_of(values: ArrayLike) -> Array:
 
 
 def span_of(values: Array) -> tuple[float, float]:
-    """Minimum and maximum of values (n,), with a fast path for a single sample."""
-    if values.size == 1:
-        only = float(values[0])
-        return only, only
+    """Minimum and maximum of values (n,), with a fast path for a few samples."""
+    if values.size <= FEW:
+        few = values.tolist()
+        return min(few), max(few)
     return float(values.min()), float(values.max())
+
+
+def largest_magnitude(values: Array) -> float:
+    """Largest magnitude of values (n,), n > 0, that are no NaN."""
+    lowest, highest = span_of(values)
+    return max(-lowest, highest)
+
+
+@lru_cache(maxsize=64)
+def constant(value: float, count: int) -> Array:
+    """An array (count,) of one value; it is shared, so it cannot be written to."""
+    values = np.full(count, value)
+    values.flags.writeable = False
+    return values
 
 
 NOISE_SPAN = 8.0

@@ -7,12 +7,11 @@ from array import array
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.signals.arrays import Array, samples_of, usable
+from mr_damper_ros.signals.arrays import Array, all_usable, constant, samples_of, usable
 
 NANOSECONDS = 1_000_000_000
 
@@ -96,18 +95,17 @@ class SampleBlock:
             )
         for name in ("displacement", "force"):
             values = getattr(self, name)
-            possible = usable(values)
-            if np.count_nonzero(possible) != n:
-                index = int(np.argmin(possible))
+            if not all_usable(values):
+                index = int(np.argmin(usable(values)))
                 what = f"is {values[index]:g}" if np.isfinite(values[index]) else "is not finite"
                 raise BlockError(f"the {name} of sample {index} of the block {what}")
 
-    @cached_property
+    @property
     def sample_count(self) -> int:
         """Number of samples."""
-        return int(self.displacement.size)
+        return self.displacement.size
 
-    @cached_property
+    @property
     def end_ns(self) -> int:
         """Stamp at which the next block should start."""
         return self.start_ns + round(self.sample_count * self.period * NANOSECONDS)
@@ -313,7 +311,10 @@ class ZeroOrderHold:
         Samples before the first value get the first value; :meth:`known_from` detects them.
         """
         following = bisect_right(self._stamps, start_ns) or 1
-        result = np.full(count, self._values[following - 1])
+        held = self._values[following - 1]
+        if following == len(self._stamps):
+            return constant(held, count)
+        result = np.full(count, held)
         for place in range(following, len(self._stamps)):
             delay = (self._stamps[place] - start_ns) / (period * NANOSECONDS)
             # Rounding of the stamp to nanoseconds must not move a step by one sample.

@@ -17,12 +17,13 @@ None of them changes identified parameters.
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mr_damper_ros.settings.option_table import CheckedSettings, option
-from mr_damper_ros.signals.arrays import SIGMAS, Array, RollingRows
+from mr_damper_ros.signals.arrays import SIGMAS, Array, largest_magnitude, span_of
 from mr_damper_ros.signals.blocks import LATE_NS, NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.clocks import StampClock
 from mr_damper_ros.signals.recording import LARGEST_MOTION
@@ -218,8 +219,8 @@ class UniformGrid:
         """The last block on the grid."""
         self._clock: StampClock | None = None
         self._sampling = NonUniformSampling()
-        # Time [sample periods], displacement and force of the latest samples.
-        self._past = RollingRows(3)
+        # The latest blocks, each with the delay of its samples [sample periods].
+        self._past: deque[tuple[SampleBlock, float]] = deque(maxlen=_NEIGHBOURS)
         self.lost_samples = 0
         self.bridged_samples = 0
         self.repeated_samples = 0
@@ -277,8 +278,7 @@ class UniformGrid:
         allowed_ns = _JITTER_NS + block.period * NANOSECONDS
         if off_ns <= allowed_ns:
             # The motion restarts, because such a sample would distort its statistics for a minute.
-            moved = np.diff(np.concatenate((last.displacement, block.displacement)))
-            if missing == 0 and (step := float(np.abs(moved).max())) > LARGEST_MOTION:
+            if missing == 0 and (step := _jump(last, block)):
                 jump = f"the displacement jumps by {step:.3g} m between two samples"
                 return "displaced", 0, f"{jump} (a loose cable, or millimetres?)"
             if -block.sample_count < missing <= 0:
@@ -313,9 +313,9 @@ class UniformGrid:
         if restarts or self._clock is None:
             self._clock = StampClock(block.sequence, block.start_ns, block.period)
             self._sampling = NonUniformSampling(self._sampling.found)
-            self._past.keep(0)
+            self._past.clear()
             self.last = block
-            self._remember(block, 0.0)
+            self._past.append((block, 0.0))
             return Placed(kind, sentence, block, block.start_ns)
         assert self.last is not None
         known = _end(self.last) - block.sequence
@@ -340,7 +340,7 @@ class UniformGrid:
             measured = np.concatenate([np.full(lost, block.force[0]), block.force]), after
         if moves:
             stamp_ns = placed.start_ns + round(lost * block.period * NANOSECONDS)
-        self._remember(block, late)
+        self._past.append((block, late))
         self.bridged_samples += lost
         self.last = placed
         return Placed(kind, sentence, placed, stamp_ns, lost, measured)
@@ -355,7 +355,8 @@ class UniformGrid:
         first = block.sequence - lost
         count = lost + block.sample_count
         wanted: Array = np.arange(count, dtype=float) - delay
-        places, displacement, force = self._past.newest
+        past = zip(*(_rows(*each) for each in self._past), strict=True)
+        places, displacement, force = (np.concatenate(row)[-_NEIGHBOURS:] for row in past)
         places = np.concatenate([places - first, np.arange(lost, count) + late])
         displacement = np.concatenate([displacement, block.displacement])
         known = places.size - block.sample_count
@@ -379,12 +380,20 @@ class UniformGrid:
             ),
         )
 
-    def _remember(self, block: SampleBlock, late: float) -> None:
-        few = slice(-_NEIGHBOURS, None)
-        places: Array = block.sequence + late + np.arange(block.sample_count, dtype=float)
-        rows = [places[few], block.displacement[few], block.force[few]]
-        self._past.add(rows, rows[0].size)
-        self._past.keep(_NEIGHBOURS)
+
+def _rows(block: SampleBlock, late: float) -> tuple[Array, Array, Array]:
+    """Time [sample periods], displacement and force (n,) of a block that is ``late``."""
+    places = block.sequence + late + np.arange(block.sample_count, dtype=float)
+    return places, block.displacement, block.force
+
+
+def _jump(last: SampleBlock, block: SampleBlock) -> float:
+    """Largest change of the displacement [m] between two samples, if it is impossible, else 0."""
+    lows, highs = zip(span_of(last.displacement), span_of(block.displacement), strict=True)
+    if max(highs) - min(lows) <= LARGEST_MOTION:
+        return 0.0
+    step = largest_magnitude(np.diff(np.concatenate((last.displacement, block.displacement))))
+    return step if step > LARGEST_MOTION else 0.0
 
 
 def _end(block: SampleBlock) -> int:

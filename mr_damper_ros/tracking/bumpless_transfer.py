@@ -176,12 +176,17 @@ class ForceInUse:
         self._part = self._difference * left
         return np.asarray(force + self._part)
 
+    @property
+    def fading(self) -> bool:
+        """Whether part of a difference remained in the last samples."""
+        return self._part.size > 0
+
     def objections(self, allowed: float, force: Array, measured: Array) -> Iterator[Objection]:
         """Whether the error of the blended ``force`` (m,) [N] exceeds ``allowed`` [N].
 
         The error of the set and the remaining difference count together.
         """
-        if self._part.size and (wrong := np.abs(force - measured) > allowed).any():
+        if (wrong := np.abs(force - measured) > allowed).any():
             yield Objection(
                 DoubtKind.WRONG,
                 f"bumpless transfer from other parameters: {abs(self._part[0]):.3g} N of the "

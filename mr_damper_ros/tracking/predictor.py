@@ -106,6 +106,11 @@ class _Part(NamedTuple):
     motion: Motion | None = None
     current: Array | None = None
 
+    @classmethod
+    def unknown(cls, velocity: Array, kind: DoubtKind, sentence: str) -> _Part:
+        """A part without a force, with the reason."""
+        return cls(np.full(velocity.size, np.nan), velocity, [Objection(kind, sentence)])
+
 
 @dataclass(frozen=True)
 class PredictorSettings(ValiditySettings):
@@ -320,9 +325,9 @@ class ForcePredictor:
         (placed,) = self.sequence.follow(block)
         whole, bridged = placed.block, placed.bridged
         if placed.kind == "repeat":
-            unknown = np.full(whole.sample_count, np.nan)
-            repeated = Objection(DoubtKind.REPEATED, placed.sentence)
-            return self._prediction(placed, [_Part(unknown, unknown, [repeated])])
+            velocity = np.full(whole.sample_count, np.nan)
+            part = _Part.unknown(velocity, DoubtKind.REPEATED, placed.sentence)
+            return self._prediction(placed, [part])
         if placed.kind == "jump_back":
             self._current.follow_jump()
             self.freshness.restart()
@@ -349,7 +354,8 @@ class ForcePredictor:
             doubt = newest or doubt
             judged.append((part.force, part.velocity, codes))
         force, velocity, codes = (
-            np.concatenate(each)[placed.bridged :] for each in zip(*judged, strict=True)
+            (each[0] if len(each) == 1 else np.concatenate(each))[placed.bridged :]
+            for each in zip(*judged, strict=True)
         )
         return Prediction(
             start_ns=placed.stamp_ns,
@@ -359,7 +365,7 @@ class ForcePredictor:
             velocity=velocity,
             set_id=self.parameters.set_id if self.parameters else "",
             doubts=codes,
-            doubt=doubt if codes.any() else NO_DOUBT,
+            doubt=doubt if doubt and codes.any() else NO_DOUBT,
             continuity=placed.sentence,
             motion=parts[-1].motion,
             current=parts[-1].current,
@@ -379,9 +385,8 @@ class ForcePredictor:
         assert self._motion is not None
         self._finish_learning()
         motion = self._motion.follow(block.displacement)
-        unknown = np.full(block.sample_count, np.nan)
         if missing := lack_of_input(self.parameters, self._current, block.start_ns):
-            return _Part(unknown, motion.velocity, [Objection(DoubtKind.MISSING, missing)])
+            return _Part.unknown(motion.velocity, DoubtKind.MISSING, missing)
         current = self._current.at(block.start_ns, block.period, block.sample_count)
         self._bank.follow_current(float(current[-1]), block.end_ns)
         parameters = self.parameters
@@ -393,17 +398,18 @@ class ForcePredictor:
             self._begun_at = self._motion.centre.reversals
         largest = (1.0 + self._settings.force_margin) * parameters.largest_force
         of_set = self._force.follow(motion, current, largest)
-        if not np.isfinite(of_set).all():
+        if not math.isfinite(sum(of_set.tolist())):
             self._force.forget()
             sentence = f"the force of {parameters.set_id} overflows"
-            return _Part(unknown, motion.velocity, [Objection(DoubtKind.NOT_FINITE, sentence)])
+            return _Part.unknown(motion.velocity, DoubtKind.NOT_FINITE, sentence)
         given = self._bank.uses_given
         of_set = of_set + self._zero.follow(block.sample_count, block.period, counts=given)
         found = self._objections_to_set(block, bridged, motion, current, of_set)
         self._newest_kind = found[0].kind if found else DoubtKind.NONE
         force = self._force.blended(of_set)
-        arrived = force[bridged:], block.force[bridged:]
-        found += self._force.objections(self._monitor.allowed, *arrived)
+        if self._force.fading:
+            arrived = force[bridged:], block.force[bridged:]
+            found += self._force.objections(self._monitor.allowed, *arrived)
         if stale:
             found.append(Objection(DoubtKind.OUTDATED, stale))
         return _Part(force, motion.velocity, found, motion, current)

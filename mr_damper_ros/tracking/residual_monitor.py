@@ -11,12 +11,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
+from itertools import compress
+from operator import mul, not_
 
 import numpy as np
 
 from mr_damper_ros.kinematics.peak_velocity import HALF_CYCLES
 from mr_damper_ros.models.quantities import NOTICED, SAME_CURRENT
-from mr_damper_ros.signals.arrays import SIGMAS, Array, Mask, RollingRows, span_of, white_noise
+from mr_damper_ros.signals.arrays import SIGMAS, Array, RollingRows, span_of, white_noise
 from mr_damper_ros.tracking.bumpless_transfer import FADE_TIME
 from mr_damper_ros.tracking.operating_point import RECENT
 from mr_damper_ros.tracking.screening import NEGATIVE_POWER
@@ -227,6 +230,12 @@ _DRIVING = Objection(
 )
 
 
+@lru_cache(maxsize=16)
+def _decays(count: int, period: float) -> Array:
+    """What is left of a difference that fades in ``FADE_TIME``, at the next samples (n,)."""
+    return np.exp(-period / FADE_TIME * np.arange(1, count + 1))
+
+
 class LoadCellZero:
     """Estimates the force that the load cell shows without a load.
 
@@ -253,8 +262,7 @@ class LoadCellZero:
     def follow(self, count: int, period: float, *, counts: bool) -> Array:
         """The zero [N] at the next ``count`` samples; it fades to 0 if it does not count."""
         target = self._target if counts else 0.0
-        decays = np.exp(-period / FADE_TIME * np.arange(1, count + 1))
-        self._zeros = target + (self._zeros[-1] - target) * decays
+        self._zeros = target + (self.present - target) * _decays(count, period)
         return self._zeros
 
     def learn(self, residual: Array, reversals: int, largest: float) -> None:
@@ -312,7 +320,7 @@ class ResidualMonitor:
         peak = self.recent.peak
         if self._limit == 0.0 or not peak > 0.0:
             return math.inf
-        return float(self._allowed(self._limit * peak))
+        return self._allowed(self._limit * peak)
 
     def forget_error(self, known: float = math.nan) -> None:
         """Reset the root mean square error after a change of parameters.
@@ -348,35 +356,35 @@ class ResidualMonitor:
             found.append(_MEASURED_DRIVES)
         if peak == 0.0:
             return found
-        errors = predicted - measured
-        sizes = np.abs(errors)
-        if not float(sizes.max()) < math.inf:
-            return [Objection(DoubtKind.WRONG, "the error of the predicted force is not finite")]
-        wrong, wild = self._wrong_samples(errors, measured)
-        self._follow(sizes[~wild])
-        if wild.any():
+        errors: list[float] = (predicted - measured).tolist()
+        wrong, wild = self._wrong_samples(errors, measured.tolist())
+        self._follow([*compress(errors, map(not_, wild))])
+        if any(wild):
+            outliers = np.array(wild)
             sentence = (
-                f"the measured force jumps to {measured[wild][-1]:.4g} N at a peak of {peak:.3g} "
-                "N: check the load cell's cable for a loose contact or interference"
+                f"the measured force jumps to {measured[outliers][-1]:.4g} N at a peak of "
+                f"{peak:.3g} N: check the load cell's cable for a loose contact or interference"
             )
-            found.append(Objection(DoubtKind.SENSOR, sentence, wild))
+            found.append(Objection(DoubtKind.SENSOR, sentence, outliers))
         if self.is_wrong:
             sentence = (
                 f"the RMS error of the predicted force was {math.sqrt(self._square):.0%} of the "
                 f"peak over the last half-cycle: valid again below {_RECOVERED * self._limit:.0%}"
             )
-            wrong[:] = True
-        elif wrong.any():
+            wrong = [True] * len(wrong)
+        elif any(wrong):
+            worst = max(map(abs, compress(errors, wrong)))
             sentence = (
-                f"the error of the predicted force is {sizes[wrong].max():.3g} N at a measured "
-                f"peak of {peak:.3g} N: maximum_error is {self._limit:.0%}"
+                f"the error of the predicted force is {worst:.3g} N at a measured peak of "
+                f"{peak:.3g} N: maximum_error is {self._limit:.0%}"
             )
         else:
             return found
+        where = np.array(wrong)
         if recent.predicted_drives:
             # A force that agrees with the measured force is as dissipative as the measured one.
-            found.append(_DRIVING._replace(where=wrong))
-        return [*found, Objection(DoubtKind.WRONG, sentence, wrong)]
+            found.append(_DRIVING._replace(where=where))
+        return [*found, Objection(DoubtKind.WRONG, sentence, where)]
 
     def adapt(self, half_cycle: float) -> None:
         """Adapt the times to the ``half_cycle`` [s] of the motion, NaN if unknown."""
@@ -385,31 +393,31 @@ class ResidualMonitor:
             self._time = max(half_cycle, _SHORTEST)
             self._enough = min(self._time, _ENOUGH)
 
-    def _wrong_samples(self, errors: Array, measured: Array) -> tuple[Mask, Mask]:
-        """Masks (n,) of the samples with too large an error and of outliers.
+    def _wrong_samples(
+        self, errors: list[float], measured: list[float]
+    ) -> tuple[list[bool], list[bool]]:
+        """Whether each of n samples has too large an error, and whether it is an outlier.
 
         ``errors`` [N] are predicted minus ``measured`` force.
         """
-        before, self._error = self._error, float(errors[-1])
-        sizes, peak = np.abs(errors), self.recent.peak
-        wrong, wild = np.zeros((2, sizes.size), dtype=bool)
-        if self._wait == 0.0 and float(sizes.max()) <= self.allowed:
+        before, self._error = self._error, errors[-1]
+        wrong, wild = [False] * len(errors), [False] * len(errors)
+        if self._wait == 0.0 and max(map(abs, errors)) <= self.allowed:
             self._wild_for = 0
             return wrong, wild
-        # If the force grows beyond the recent peak, the limit grows with it.
-        largest = np.maximum(np.abs(measured - self.recent.centre), peak)
-        begins, stays = (
-            (sizes > self._allowed(part * self._limit * largest)).tolist()
-            for part in (1.0, _RECOVERED)
-        )
-        jumps = (np.abs(np.diff(errors, prepend=before)) > peak).tolist()
-        for k, (begin, stay) in enumerate(zip(begins, stays, strict=True)):
-            if begin and (jumps[k] or 0 < self._wild_for < self._longest_wild):
+        peak, centre = self.recent.peak, self.recent.centre
+        for k, (error, force) in enumerate(zip(errors, measured, strict=True)):
+            # If the force grows beyond the recent peak, the limit grows with it.
+            largest = max(abs(force - centre), peak)
+            size, jumps = abs(error), abs(error - before) > peak
+            before, begins = error, size > self._allowed(self._limit * largest)
+            if begins and (jumps or 0 < self._wild_for < self._longest_wild):
                 self._wild_for += 1
                 wild[k] = True
                 continue
             self._wild_for = 0
-            if begin or (stay and self._wait):
+            stays = self._wait and size > self._allowed(_RECOVERED * self._limit * largest)
+            if begins or stays:
                 self._wait = min(self._wait + _WRONG_PART, self._calm)
                 wrong[k] = True
             elif self._wait:
@@ -417,24 +425,24 @@ class ResidualMonitor:
                 self._wait = max(self._wait - 1.0, 0.0)
         return wrong, wild
 
-    def _follow(self, sizes: Array) -> None:
-        """Update the root mean square error with the error magnitudes (n,) [N]."""
-        count, peak = sizes.size, self.recent.peak
+    def _follow(self, errors: list[float]) -> None:
+        """Update the root mean square error with the errors [N] of the next samples."""
+        count, peak = len(errors), self.recent.peak
         self._compared += count * self._period
         if count == 0:
             return
         most = _LARGEST_ENTRY * self._limit * peak
-        if float(sizes.max()) > most:
-            sizes = sizes.clip(0.0, most)
-        square = (float(sizes @ sizes) / count - self._noise**2) / peak**2
+        if max(map(abs, errors)) > most:
+            errors = [min(max(error, -most), most) for error in errors]
+        square = (sum(map(mul, errors, errors)) / count - self._noise**2) / peak**2
         part = min(count * self._period / self._time, 1.0)
         self._square += part * (square - self._square)
         lasting = self._limit * (_RECOVERED if self.is_wrong else 1.0)
         self.is_wrong = self._square > lasting**2
 
-    def _allowed(self, limit: Array | float) -> Array:
+    def _allowed(self, limit: float) -> float:
         """Limit [N] of the error of a sample: noise may hide part of it, or look like an error."""
-        return np.maximum(
+        return max(
             _USED_PART * limit - SIGMAS * self._noise,
             _NOISY_PART * limit + _NOISY_SIGMAS * self._noise,
         )

@@ -91,13 +91,15 @@ def judge_samples(count: int, objections: Sequence[Objection]) -> tuple[Codes, D
 
     If several objections apply to a sample, the first one counts.
     """
-    doubts = [NO_DOUBT, *(Doubt(kind, sentence) for kind, sentence, _ in objections)]
-    first = np.zeros(count, dtype=np.intp)
-    for number, (_, _, where) in reversed([*enumerate(objections, start=1)]):
-        first[0 if where is True else count - where.size :][where] = number
-    codes = np.array([doubt.kind for doubt in doubts], dtype=np.uint8)[first]
-    doubted = np.flatnonzero(first)
-    return codes, doubts[int(first[doubted[-1]]) if doubted.size else 0]
+    codes = np.zeros(count, dtype=np.uint8)
+    newest, doubt = -1, NO_DOUBT
+    for kind, sentence, where in objections:
+        first = 0 if where is True else count - where.size
+        places = first + np.flatnonzero((codes[first:] == DoubtKind.NONE) & where)
+        codes[places] = kind
+        if places.size and places[-1] > newest:
+            newest, doubt = int(places[-1]), Doubt(kind, sentence)
+    return codes, doubt
 
 
 @dataclass(frozen=True)

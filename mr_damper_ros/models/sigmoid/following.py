@@ -45,7 +45,7 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion, MotionSample
-from mr_damper_ros.models.first_order_lag import COIL, FEW, LAG, lagged
+from mr_damper_ros.models.first_order_lag import COIL, LAG, lagged
 from mr_damper_ros.models.force_model import CurrentResponse
 from mr_damper_ros.models.formulas import Formulas, staged
 from mr_damper_ros.models.quantities import State
@@ -55,8 +55,9 @@ from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     force_and_damping,
     operating_point_coefficients,
+    quiet,
 )
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import FEW, Array
 
 EXTENDED_MODEL = "sigmoid_lag"
 """Name of the extended law in ``MODELS``."""
@@ -114,9 +115,9 @@ BRANCH_MEMORY = 2
 _SAMPLE_LAWS = [
     staged(
         EXTENDED_LAW,
-        [names, ("i", "period"), ("v", "v_m", "s", "change", "u", *_LAG)],
+        [names, ("i", "period"), ("v_m",), ("v", "s", "change", "u", *_LAG)],
         results,
-        scalars=3,
+        scalars=4,
     )
     for names, results in (
         (PARAMETER_NAMES, ("force", "branch")),
@@ -136,8 +137,21 @@ def follow(
     jumps: bool,
 ) -> tuple[Array, State]:
     """As :meth:`Model.follow_in_coil`, for parameters (..., 16) or (..., 20)."""
-    if parameters.ndim == 1 and motion.velocity.size <= FEW:
-        return _follow_few(parameters, motion, current, period, state, jumps)
+    few = parameters.ndim == 1 and motion.velocity.size <= FEW
+    along = _follow_few if few else _follow_many
+    return along(parameters, motion, current, period, state, jumps)
+
+
+@quiet
+def _follow_many(
+    parameters: Array,
+    motion: Motion,
+    current: Array,
+    period: float,
+    state: State | None,
+    jumps: bool,
+) -> tuple[Array, State]:
+    """:func:`follow` in array code."""
     turning: State = ()
     coefficients = operating_point_coefficients(
         parameters[..., :SIGMOID_COUNT], motion.peak_velocity, current
@@ -170,15 +184,17 @@ def _follow_few(
     branch, last, lag = _before(state, float(motion.acceleration[0]), jumps=jumps)
     columns = (current, motion.velocity, motion.peak_velocity, motion.displacement)
     signs = np.sign(motion.acceleration).tolist() if jumps else repeat(branch)
-    known, forces, change = math.nan, [], 0.0
+    known, known_peak, forces, change = math.nan, math.nan, [], 0.0
     for sign, amperes, v, v_m, u in zip(signs, *map(np.ndarray.tolist, columns), strict=False):
         if amperes != known:
-            known, sample = amperes, at_current(amperes, period)
+            known, known_peak, at_peak = amperes, math.nan, at_current(amperes, period)
+        if v_m != known_peak:
+            known_peak, sample = v_m, at_peak(v_m)
         if jumps:
             branch = sign
         elif last is not None:
             change = v - last
-        force, branch, *late = sample(v, v_m, branch, change, u, *lag)
+        force, branch, *late = sample(v, branch, change, u, *lag)
         if late:
             lag = (1.0, *late)
         last = v
@@ -267,7 +283,7 @@ class SigmoidCurrentResponse(CurrentResponse):
         force_at: Callable[[float], float] = self._scalar(*self._seen(sample, period, state))
         return force_at
 
-    @np.errstate(over="ignore", divide="ignore", invalid="ignore")
+    @quiet
     def forces(
         self, samples: Sequence[MotionSample], current: Array, period: float, state: State | None
     ) -> Array:
