@@ -54,8 +54,7 @@ def trial(law: str, seed: int = 1) -> tuple[float, float]:
         displacement=motion.displacement, force=foreign, current=current, period=_FINE, model=law
     ).parameter_set
     motion, current = _driven(_DURATION, seed)
-    held = motion.held_within(*truth.peak_velocity_range)
-    force, _ = truth.law.continuous.follow(truth.values, held, current, _FINE, None)
+    force, _ = truth.follow(motion, current, _FINE, None, gradual=True)
     force = (force + _MASS * motion.acceleration)[::_STRIDE]
     noise = _NOISE * np.std(force) * np.random.default_rng(seed).standard_normal(force.size)
     run: dict[str, Any] = {

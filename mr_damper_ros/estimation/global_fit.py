@@ -579,7 +579,7 @@ class GlobalSearch:
 
     def _starts(self) -> dict[str, Array]:
         """Starts for the search on the samples, by origin."""
-        fits = self._fits_by_speed() if self.model.knows_speeds(self.free) else self.fits
+        fits = [*self.fits, *self._fits_by_speed()]
         speeds, currents = np.array([fit.operating_point for fit in fits]).T
         table = CoefficientTable(
             speeds,
@@ -603,18 +603,18 @@ class GlobalSearch:
     def _fits_by_speed(self) -> list[WindowFit]:
         """Separate fits of the parts of each window with low, medium and high peak velocity.
 
-        The coefficients of a whole window of varying peak velocity are those of none.
+        A whole window of varying peak velocity has no common coefficients.
         """
         fits: list[WindowFit] = []
-        for window, whole in zip(self._excerpts.stretches, self.fits, strict=True):
+        if not self.model.knows_speeds(self.free):
+            return fits
+        for window in self._excerpts.stretches:
             speeds = window.motion.peak_velocity
             low, *limits, high = np.quantile(speeds, (0.1, 1 / 3, 2 / 3, 0.9)).tolist()
             if high <= low * (1.0 + SAME_MOTION):
-                fits.append(whole)
                 continue
             place = np.searchsorted(limits, speeds, side="right")
-            parts = [window.part(place == k) for k in range(len(limits) + 1)]
-            for part in parts:
+            for part in (window.part(place == k) for k in range(len(limits) + 1)):
                 starts = [self._neutral, *(fit.parameters for fit in fits[-1:])]
                 left = [self.model.window_force(part, each) - part.force for each in starts]
                 start = starts[int(np.argmin(np.linalg.norm(left, axis=-1)))]
