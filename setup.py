@@ -164,7 +164,7 @@ setup(
         "many": ["distributed==2026.8.0", "pyarrow==26.0.1"],
         "files": ["openpyxl==3.1.5", "npTDMS==1.13.0"],
         "serial": ["pyserial==3.5"],
-        "daq": ["nidaqmx==1.7.0", "labjack-ljm==1.23.0", "pylsl==1.18.6", "uldaq==1.2.3"],
+        "daq": ["nidaqmx==1.7.0", "labjack-ljm==1.23.0", "uldaq==1.2.3"],
         "visa": ["PyVISA==1.16.2", "PyVISA-py==0.8.1"],
     },
     zip_safe=False,

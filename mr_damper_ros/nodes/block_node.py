@@ -45,14 +45,6 @@ class SetOptions(ParameterTable):
         "start set of an identifier never replaces it. Give the identifier the same file as "
         "initial_parameters. With a file no identifier is needed.",
     )
-    trusted_source: str = option(
-        "",
-        "Name of the only node whose parameters and reports are used, such as /identifier; "
-        '"": any. Without a name, two nodes that publish damper/parameters are an error in '
-        "the diagnostics. The ROS graph shows which nodes publish; if several do, the field "
-        "node of the messages is also checked. Both can be forged; only SROS2 authenticates "
-        "(doc/security.md).",
-    )
     error_memory: float = option(
         10.0,
         "Averaging time [s] of the error of the force in the diagnostics; the model judges the "
@@ -93,7 +85,6 @@ class BlockNode(Node, Generic[Options, Answer]):
         Raises ValueError if the parameter file is invalid.
         """
         self._predictor = predictor
-        self._unattributed: DamperParameters | None = None
         self._refused = self._given = ""
         self._from = file = self._options.parameter_file
         if file:
@@ -122,31 +113,8 @@ class BlockNode(Node, Generic[Options, Answer]):
             },
         )
 
-    def _objection(self, topic: str, claimed: str) -> str:
-        """Reason to ignore a message that names ``claimed`` as its node; empty if there is none.
-
-        The ROS graph shows which nodes publish a topic, but rclpy of Jazzy does not show which of
-        them sent a message (later versions have ``publisher_gid``). If several nodes publish, the
-        node name in the message is also checked, which any node can forge. Without SROS2, the names
-        in the graph are not authenticated either.
-        """
-        names, trusted = set(quality.publishing_nodes(self, topic)), self._options.trusted_source
-        if len(names) > 1 and trusted in names:
-            names = {claimed[:SHOWN] or "a node that does not state its name"}
-        if not trusted or names == {trusted}:
-            return ""
-        found = " or ".join(sorted(names)) or "a node that has ended"
-        return f"they come from {found}, and trusted_source is {trusted}"
-
     def _take_set(self, message: DamperParameters) -> None:
-        self._unattributed = None
-        self._refused = self._objection(PARAMETERS_TOPIC, message.node)
-        if self._refused:
-            # A message may arrive before the graph knows its publisher; it is checked again later.
-            names = quality.publishing_nodes(self, PARAMETERS_TOPIC)
-            if not names or any("_NODE_NAME_UNKNOWN_" in name for name in names):
-                self._unattributed = message
-            return
+        self._refused = ""
         try:
             parameters = check_plausible(parameter_set(message))
         except ParameterError as error:
@@ -161,19 +129,14 @@ class BlockNode(Node, Generic[Options, Answer]):
             self.get_logger().debug(f"using parameters {parameters.set_id}")
 
     def _take_report(self, message: FitReport) -> None:
-        if not self._objection(REPORT_TOPIC, message.node):
-            self._predictor.follow_report(report_of(message))
+        self._predictor.follow_report(report_of(message))
 
     def _set_finding(self) -> Finding:
-        if self._unattributed is not None:
-            self._take_set(self._unattributed)
         parameters, file = self._predictor.parameters, self._options.parameter_file
         publishers = quality.publishing_nodes(self, PARAMETERS_TOPIC)
-        several = f"{PARAMETERS_TOPIC} is published by {quality.listed(publishers)}"
-        if len(publishers) > 1 and not self._options.trusted_source:
-            return Finding(
-                ERROR, f"{several}: stop all but one, or name the one to use in trusted_source"
-            )
+        if len(publishers) > 1:
+            several = f"{PARAMETERS_TOPIC} is published by {quality.listed(publishers)}"
+            return Finding(ERROR, f"{several}: stop all but one")
         if self._refused:
             return Finding(WARN, f"the newest parameters are not used: {self._refused}")
         if parameters is None:
@@ -181,16 +144,9 @@ class BlockNode(Node, Generic[Options, Answer]):
                 WARN,
                 "no parameters yet: start the identifier in this namespace, or give parameter_file",
             )
-        sentence, level = f"{self.doing} with {parameters.set_id}", OK
-        if len(set(publishers)) > 1:
-            level = WARN
-            sentence += (
-                f"; {several}, and only the node names in their messages distinguish them: end "
-                "all but one, or exclude the others with SROS2"
-            )
         return Finding(
-            level,
-            sentence,
+            OK,
+            f"{self.doing} with {parameters.set_id}",
             {
                 "id": parameters.set_id,
                 "model": parameters.model,

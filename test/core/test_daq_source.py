@@ -1,9 +1,7 @@
 """The source `daq`: with simulated devices, and with the real libraries where installed."""
 
 import ctypes
-import math
 import sys
-import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from importlib import import_module
@@ -109,7 +107,6 @@ def test_a_device_that_is_lost_goes_on_after_a_gap(fake: Callable[..., Streamed]
     ("options", "part"),
     [
         ({"driver": "nidaqmx"}, "daq.device is empty"),
-        ({"driver": "lsl"}, "name the LSL stream"),
         ({"driver": "labjack"}, "daq.displacement_channel is empty"),
         ({"driver": "nidaqmx", "device": "Dev1", "displacement_channel": "ai0"}, "daq.force_ch"),
         ({"force_scale": 0.0}, "daq.force_scale is 0"),
@@ -123,13 +120,11 @@ def test_what_is_missing_is_said(options: dict[str, Any], part: str) -> None:
     assert bool(objection) == bool(part)
 
 
-@pytest.mark.parametrize("driver", ["nidaqmx", "labjack", "mcc", "lsl"])
+@pytest.mark.parametrize("driver", ["nidaqmx", "labjack", "mcc"])
 def test_a_library_that_is_missing_is_one_sentence(
     driver: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    library = {"nidaqmx": "nidaqmx", "labjack": "labjack.ljm", "mcc": "uldaq", "lsl": "pylsl"}[
-        driver
-    ]
+    library = {"nidaqmx": "nidaqmx", "labjack": "labjack.ljm", "mcc": "uldaq"}[driver]
     monkeypatch.setitem(__import__("sys").modules, library, None)
     with pytest.raises(ValueError, match="is not installed: pip install"):
         source_of("daq", driver=driver, device="x", **CHANNELS).open()
@@ -472,44 +467,3 @@ def test_mcc_without_its_library_is_told(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(ctypes, "CDLL", none)
     with pytest.raises(ValueError, match="libuldaq"):
         source_of("daq", **MCC).open()
-
-
-# -- lab streaming layer: real streams ---------------------------------------------------------
-
-
-def test_a_stream_of_the_lab_streaming_layer_comes_with_the_stamps_of_its_sender(
-    rig: Callable[..., Streamed],
-) -> None:
-    pylsl = pytest.importorskip("pylsl")
-    name = f"press {time.monotonic_ns()}"
-    info = pylsl.StreamInfo(name, "Rig", 2, 500.0, pylsl.cf_double64, name)
-    info.set_channel_labels(["load", "stroke"])
-    outlets = [pylsl.StreamOutlet(info)]
-    running = rig(
-        driver="lsl", device=name, displacement_channel="stroke", force_channel="0",
-        displacement_scale=0.001, force_range=1e6,
-    )  # fmt: skip
-    begin = pylsl.local_clock()
-    sent = 0
-
-    def send() -> bool:
-        """Send all samples that are due, until enough have arrived."""
-        nonlocal sent
-        while sent < (pylsl.local_clock() - begin) * 500.0:
-            outlets[0].push_sample([float(sent), 2.0 * math.sin(sent / 50.0)], begin + sent / 500.0)
-            sent += 1
-        return running.samples >= 300
-
-    running.until(send)
-    k = running.joined("force")
-    assert (np.diff(k) == 1.0).all()
-    np.testing.assert_allclose(running.joined("displacement"), 0.002 * np.sin(k / 50.0))
-    assert {round(block.period, 9) for block in running.blocks} == {0.002}
-    outlets.clear()
-    running.until(lambda: "stream" in running.fault)
-
-
-def test_a_stream_that_nobody_sends_is_told(rig: Callable[..., Streamed]) -> None:
-    pytest.importorskip("pylsl")
-    running = rig(driver="lsl", device="nobody's", **CHANNELS)
-    running.until(lambda: "no stream 'nobody's' on the network" in running.fault)

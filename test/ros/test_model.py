@@ -2,7 +2,6 @@
 
 import os
 import signal
-import time
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -12,9 +11,8 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
-from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, PredictedForce
+from mr_damper_msgs.msg import DamperParameters, MtsSamples, PredictedForce
 from press import BAD_BLOCKS, BLOCK, Press, block_message
-from rclpy.duration import Duration
 from support import Listener
 
 import mr_damper_ros as mr
@@ -30,9 +28,7 @@ from mr_damper_ros.nodes.messages import (
     parameter_set,
     parameters_message,
     to_nanoseconds,
-    to_stamp,
 )
-from mr_damper_ros.nodes.observer import Observer
 from mr_damper_ros.signals.recording import Recording
 
 ROOT = Path(__file__).parents[2]
@@ -272,54 +268,6 @@ def test_two_publishers_of_parameters_are_an_error(start: Any, listener: Listene
     assert status.level == DiagnosticStatus.ERROR
     listener.node.destroy_publisher(publishers.pop())
     listener.wait_for_finding("model: parameters", "no parameters yet")
-
-
-def publisher_of(node: Observer, kind: type, topic: str) -> Any:
-    return node.node.create_publisher(kind, topic, quality.latched())
-
-
-def test_parameters_of_another_node_than_the_trusted_one_are_refused_whatever_they_claim(
-    start: Any, listener: Listener
-) -> None:
-    message = parameters_message(TRUE_SET, "damper", "/right")
-    with Observer("wrong") as wrong:
-        publisher_of(wrong, DamperParameters, "damper/parameters").publish(message)
-        start("model", trusted_source="/right")
-        listener.wait_for_finding("model: parameters", "they come from /wrong")
-        with Observer("right") as right:
-            publisher_of(right, DamperParameters, "damper/parameters").publish(message)
-            status = listener.wait_for_finding("model: parameters", "predicting with true")
-    assert status.level == DiagnosticStatus.WARN
-    assert "exclude the others with SROS2" in status.message
-
-
-def test_reports_of_another_node_than_the_trusted_one_confirm_nothing(
-    start: Any, listener: Listener, recording: Recording
-) -> None:
-    rig = Rig(start, listener, parameters_timeout=60.0, trusted_source="/right")
-    hours_ago = replace(TRUE_SET, stamp_ns=recording.start_ns - 10**13)
-    report = FitReport(confirms=True, parameter_set="true", node="/right")
-    report.header.stamp = to_stamp(recording.start_ns)
-    with Observer("right") as right:
-        latched = publisher_of(right, DamperParameters, "damper/parameters")
-        latched.publish(parameters_message(hours_ago, "damper", "/right"))
-        listener.wait_for_finding("model: parameters", "predicting with true")
-        for place, (name, valid) in enumerate((("wrong", False), ("right", True))):
-            with Observer(name) as node:
-                reports = node.node.create_publisher(
-                    FitReport, "damper/fit_report", quality.stream()
-                )
-                listener.until(reports.get_subscription_count, "the model's subscription")
-                listener.until(
-                    lambda: listener.node.count_publishers("damper/fit_report"), "the publisher"
-                )
-                # The model may discover the publisher's node a little later than this node does.
-                for _ in range(5):
-                    reports.publish(report)
-                    assert reports.wait_for_all_acked(Duration(seconds=30))
-                    time.sleep(0.2)
-                later = replace(recording, start_ns=recording.start_ns + (1 + place) * 10**10)
-                assert rig.run(later)[-1].valid == valid
 
 
 def test_a_model_that_has_fallen_behind_goes_straight_to_the_newest(

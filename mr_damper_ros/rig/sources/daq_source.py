@@ -24,12 +24,11 @@ from mr_damper_ros.rig.sources.device_source import (
     Portions,
     Row,
     RowTimes,
-    StampedRows,
     library,
 )
 from mr_damper_ros.settings.option_table import ParameterTable, groups, option
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, SILENCE
+from mr_damper_ros.signals.blocks import NANOSECONDS
 
 MOST_READ = 10_000
 """Largest number of readings per channel in one read."""
@@ -39,14 +38,10 @@ BUFFERED = 10.0
 
 
 class Readings(NamedTuple):
-    """``values`` (channels, n) [V], in the order of the channels, at a sample ``rate`` [Hz].
-
-    If the device gives ``stamps`` (n,) [s], by any clock, ``rate`` has no meaning.
-    """
+    """``values`` (channels, n) [V], in the order of the channels, at a sample ``rate`` [Hz]."""
 
     values: Array
     rate: float
-    stamps: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -215,49 +210,6 @@ def _mcc_range(ranges: Any, wanted: float) -> Any:
     return fitting[min(able)]
 
 
-def _lab_stream(pylsl: Any, given: DaqOptions) -> Portions[Readings]:
-    """A stream of the lab streaming layer, through pylsl.
-
-    Its stamps come from the sender, converted to the clock of this computer.
-    """
-    found = pylsl.resolve_byprop("name", given.device, 1, SILENCE)
-    if not found:
-        raise OSError(f"there is no stream '{given.device}' on the network")
-    if found[0].channel_format() == pylsl.cf_string:
-        raise OSError("it contains text, not numbers")
-    inlet = pylsl.StreamInlet(
-        found[0],
-        max_buflen=round(BUFFERED),
-        recover=False,
-        processing_flags=pylsl.proc_clocksync,
-        as_numpy=True,
-    )
-    labels = inlet.info(SILENCE).get_channel_labels() or []
-    with ExitStack() as stack:
-        inlet.open_stream(SILENCE)
-        stack.callback(inlet.close_stream)
-        count = found[0].channel_count()
-        places = [_place(name, labels, count) for name in given.names]
-        yield None
-        while True:
-            samples, stamps = inlet.pull_chunk(POLL, MOST_READ, min_samples=1)
-            if len(stamps) == 0:
-                yield None
-                continue
-            values = np.asarray(samples, dtype=np.float64).T[places]
-            yield Readings(values, 0.0, np.asarray(stamps, dtype=np.float64))
-
-
-def _place(name: str, labels: list[str | None], count: int) -> int:
-    """Index of a channel, by its label or its number from 0; raises OSError."""
-    if name in labels:
-        return labels.index(name)
-    if name.isdigit() and int(name) < count:
-        return int(name)
-    known = ", ".join(label for label in labels if label) or "none has a label"
-    raise OSError(f"it has no channel '{name}', but {count} others ({known})")
-
-
 def _simulated(_: Any, given: DaqOptions) -> Portions[Readings]:
     """Displacement of 5 V and force of 7 V at 1 Hz, current of 1.5 V, each clipped at its range."""
     limits = np.array([[each.range] for each in given.used.values()])
@@ -286,7 +238,6 @@ DRIVERS = {
         "uldaq==1.2.3, and MCC's own library UL for Linux (libuldaq)",
         "the MCC device",
     ),
-    "lsl": Driver(_lab_stream, "pylsl", "pylsl==1.18.6"),
 }
 """Drivers by the value of the option ``driver``."""
 
@@ -307,8 +258,8 @@ class ChannelOptions(ParameterTable):
 
     channel: str = option(
         "",
-        "Channel of the displacement, force or coil current: ai0 of NI, AIN0 of LabJack, 0 of MCC, "
-        "label or number of LSL. The current may have none.",
+        "Channel of the displacement, force or coil current: ai0 of NI, AIN0 of LabJack, 0 of MCC. "
+        "The current may have none.",
     )
     scale: float = option(
         1.0,
@@ -332,20 +283,18 @@ class DaqOptions(ParameterTable):
     driver: str = option(
         "simulated",
         "Driver: nidaqmx (National Instruments), labjack (T4, T7, T8), mcc (Measurement "
-        "Computing), lsl (a stream of the lab streaming layer), or simulated.",
+        "Computing) or simulated.",
         choices=tuple(DRIVERS),
     )
     device: str = option(
         "",
         "Device: Dev1 of NI; a serial number, name or address of LabJack; name or number of "
-        "MCC (empty: the only one); the name of an LSL stream.",
+        "MCC (empty: the only one).",
     )
-    rate: float = option(
-        1000.0, "Requested sample rate [Hz]; an LSL stream has its own.", within=(1.0, 100_000.0)
-    )
+    rate: float = option(1000.0, "Requested sample rate [Hz].", within=(1.0, 100_000.0))
     differential: bool = option(
         True,
-        "Whether channels of NI, LabJack and MCC are wired differentially instead of to ground.",
+        "Whether the channels are wired differentially instead of to ground.",
     )
     channels: dict[str, ChannelOptions] = groups(
         {name: (f"{name}_", ChannelOptions) for name in _QUANTITIES}
@@ -353,9 +302,8 @@ class DaqOptions(ParameterTable):
 
     def objection(self) -> str:
         """Return the reason if an option is missing or invalid, or an empty string."""
-        if self.driver in ("nidaqmx", "lsl") and not self.device:
-            what = "the device, such as Dev1" if self.driver == "nidaqmx" else "the LSL stream"
-            return f"daq.driver is {self.driver}, but daq.device is empty: name {what}"
+        if self.driver == "nidaqmx" and not self.device:
+            return "daq.driver is nidaqmx, but daq.device is empty: name the device, such as Dev1"
         for name, each in self.channels.items():
             if each.scale == 0.0:
                 return f"daq.{name}_scale is 0: give the {name} per volt"
@@ -397,20 +345,17 @@ class DaqSource(DeviceSource[Readings]):
         ]
 
     def _new_times(self, data: Readings) -> RowTimes:
-        if data.stamps is None:
-            return CountedRows(data.rate, checks_rate=False)
-        return StampedRows(1.0)
+        return CountedRows(data.rate, checks_rate=False)
 
     def _rows(self, portion: Portion[Readings], *, begins: bool) -> Iterator[tuple[Row, int]]:
         """Convert readings to units and times; the last one was taken at the arrival."""
-        values, rate, stamps = portion.data
+        values, rate = portion.data
         count = values.shape[1]
-        ago = (count - 1 - np.arange(count)) / rate if rate > 0.0 else np.zeros(count)
+        ago = (count - 1 - np.arange(count)) / rate
         taken = portion.arrival_ns - np.round(ago * NANOSECONDS).astype(np.int64)
-        stamped = [None] * count if stamps is None else stamps.tolist()
         rows = self._in_units(values).T.tolist()
-        for stamp, taken_ns, row in zip(stamped, taken.tolist(), rows, strict=True):
-            yield Row(Measured(*row), None, stamp), taken_ns
+        for taken_ns, row in zip(taken.tolist(), rows, strict=True):
+            yield Row(Measured(*row), None, None), taken_ns
 
     def _in_units(self, volts: Array) -> Array:
         """The channels in units, shape (3, n); NaN if a value is missing or saturated."""
