@@ -606,6 +606,7 @@ class GlobalSearch:
         A whole window of varying peak velocity has no common coefficients.
         """
         fits: list[WindowFit] = []
+        fewest = self.model.unknown_indices.size
         if not self.model.knows_speeds(self.free):
             return fits
         for window in self._excerpts.stretches:
@@ -614,7 +615,10 @@ class GlobalSearch:
             if high <= low * (1.0 + SAME_MOTION):
                 continue
             place = np.searchsorted(limits, speeds, side="right")
-            for part in (window.part(place == k) for k in range(len(limits) + 1)):
+            parts = [window.part(place == k) for k in range(len(limits) + 1)]
+            for part in parts:
+                if part.sample_count <= fewest or np.ptp(part.force) == 0.0:
+                    continue
                 starts = [self._neutral, *(fit.parameters for fit in fits[-1:])]
                 left = [self.model.window_force(part, each) - part.force for each in starts]
                 start = starts[int(np.argmin(np.linalg.norm(left, axis=-1)))]
