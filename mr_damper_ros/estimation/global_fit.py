@@ -603,7 +603,8 @@ class GlobalSearch:
     def _fits_by_speed(self) -> list[WindowFit]:
         """Separate fits of the parts of each window with low, medium and high peak velocity.
 
-        A whole window of varying peak velocity has no common coefficients.
+        A whole window of varying peak velocity has no common coefficients. With a varying current,
+        its parts have none either.
         """
         fits: list[WindowFit] = []
         fewest = self.model.unknown_indices.size
@@ -612,7 +613,7 @@ class GlobalSearch:
         for window in self._excerpts.stretches:
             speeds = window.motion.peak_velocity
             low, *limits, high = np.quantile(speeds, (0.1, 1 / 3, 2 / 3, 0.9)).tolist()
-            if high <= low * (1.0 + SAME_MOTION):
+            if high <= low * (1.0 + SAME_MOTION) or current_varies(window):
                 continue
             place = np.searchsorted(limits, speeds, side="right")
             parts = [window.part(place == k) for k in range(len(limits) + 1)]
