@@ -436,10 +436,9 @@ def switched(coil: float, half: float) -> tuple[float, float]:
     first, second = switched_halves(coil, half)
     start = start_set(_STATE_LAW).values
     found = identify_global(model, [first], start, EvolutionSettings()).parameter_set
-    held = second.held_within(*found.peak_velocity_range)
-    settled = model.settled(held, found.values)
-    left = (model.window_force(held, found.values) - held.force)[settled]
-    nrmse = recordings.rms(left) / float(np.std(held.force[settled]))
+    settled = found.settled(second)
+    left = (found.window_force(second) - second.force)[settled]
+    nrmse = recordings.rms(left) / float(np.std(second.force[settled]))
     return nrmse, float(found.values[model.parameter_names.index(COIL)])
 
 

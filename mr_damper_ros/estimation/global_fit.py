@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import compress
 from typing import NamedTuple
 
@@ -579,7 +579,7 @@ class GlobalSearch:
 
     def _starts(self) -> dict[str, Array]:
         """Starts for the search on the samples, by origin."""
-        fits = [*self.fits, *self._fits_by_speed()]
+        fits = [*self.fits, *self._fits_by_speed]
         speeds, currents = np.array([fit.operating_point for fit in fits]).T
         table = CoefficientTable(
             speeds,
@@ -600,6 +600,7 @@ class GlobalSearch:
         }
         return starts if self.earlier is None else {**starts, "an earlier search": self.earlier}
 
+    @cached_property
     def _fits_by_speed(self) -> list[WindowFit]:
         """Separate fits of the parts of each window with low, medium and high peak velocity.
 

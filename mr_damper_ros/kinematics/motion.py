@@ -178,8 +178,10 @@ class SavitzkyGolay:
 _POLYNOMIAL_ORDER = 4
 
 _NOISE_RISE = 4.0
-"""A longer filter may remove so many times the power of the noise that the shorter ones removed.
-The noise of sensors is not white, but a motion rises more steeply."""
+"""A longer filter may remove so many times the power of the noise that the shorter one removed.
+The noise of sensors is not white, but a motion rises more steeply. In the motions of
+:func:`_smooth`, the velocity error is 1.32 times the least one with 2.5, where the noise of a
+filtered sensor counts as motion (at most 633 times), and 1.16 times with 5 (at most 7.4 times)."""
 
 
 class DataError(ValueError):

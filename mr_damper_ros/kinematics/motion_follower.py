@@ -21,7 +21,7 @@ from mr_damper_ros.kinematics.observer import (
     possible_bandwidths,
 )
 from mr_damper_ros.kinematics.peak_velocity import HALF_CYCLES, REVERSAL, PeakVelocity
-from mr_damper_ros.signals.arrays import NEGLIGIBLE, Array, RollingRows, constant, largest_magnitude
+from mr_damper_ros.signals.arrays import NEGLIGIBLE, Array, RollingRows, largest_magnitude
 
 _CYCLES = 1.5
 """Longest fit in cycles; the first fit covers one cycle. A longer fit averages more; a shorter one
@@ -86,7 +86,7 @@ class SineFollower:
             displacement=centred,
             velocity=fastest * np.cos(angle),
             acceleration=-(self._omega**2) * centred,
-            peak_velocity=constant(fastest, angle.size),
+            peak_velocity=np.full(angle.size, fastest),
             sine=None,
         )
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 from statistics import NormalDist
 from typing import Annotated, Any
 
@@ -57,7 +56,7 @@ def samples_of(values: ArrayLike) -> Array:
 
 
 def span_of(values: Array) -> tuple[float, float]:
-    """Minimum and maximum of values (n,), with a fast path for a few samples."""
+    """Minimum and maximum of values (n,), n > 0, that are no NaN; with a fast path for a few."""
     if values.size <= FEW:
         few = values.tolist()
         return min(few), max(few)
@@ -68,14 +67,6 @@ def largest_magnitude(values: Array) -> float:
     """Largest magnitude of values (n,), n > 0, that are no NaN."""
     lowest, highest = span_of(values)
     return max(-lowest, highest)
-
-
-@lru_cache(maxsize=64)
-def constant(value: float, count: int) -> Array:
-    """An array (count,) of one value; it is shared, so it cannot be written to."""
-    values = np.full(count, value)
-    values.flags.writeable = False
-    return values
 
 
 NOISE_SPAN = 8.0

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.signals.arrays import Array, all_usable, constant, samples_of, usable
+from mr_damper_ros.signals.arrays import Array, all_usable, samples_of, usable
 
 NANOSECONDS = 1_000_000_000
 
@@ -311,10 +311,7 @@ class ZeroOrderHold:
         Samples before the first value get the first value; :meth:`known_from` detects them.
         """
         following = bisect_right(self._stamps, start_ns) or 1
-        held = self._values[following - 1]
-        if following == len(self._stamps):
-            return constant(held, count)
-        result = np.full(count, held)
+        result = np.full(count, self._values[following - 1])
         for place in range(following, len(self._stamps)):
             delay = (self._stamps[place] - start_ns) / (period * NANOSECONDS)
             # Rounding of the stamp to nanoseconds must not move a step by one sample.

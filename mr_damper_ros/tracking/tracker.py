@@ -471,8 +471,10 @@ def _search_is_due(
 def _shows_more(used: ParameterSet, window: Window) -> bool:
     """Whether one window of varying peak velocity shows a dependence on it that is unknown."""
     law = used.law
+    if law.knows_speeds(used.observable):
+        return False
     varied = varied_parameters(law, *operating_points_within([window]))
-    return not law.knows_speeds(used.observable) and law.knows_speeds(law.marked(varied))
+    return law.knows_speeds(law.marked(varied))
 
 
 # -- a window --------------------------------------------------------------------------------

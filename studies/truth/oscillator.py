@@ -204,9 +204,8 @@ def judge_on_oscillator(law: str, count: int) -> dict[str, Any]:
     known, other = (_window(seed, count) for seed in (_ESTIMATION, _TEST))
     fit = identify_global(model, [known], start_set(law).values, EvolutionSettings())
     found = fit.parameter_set
-    held = other.held_within(*found.peak_velocity_range)
-    predicted = model.window_force(held, found.values)
-    counted = model.settled(held, found.values)
+    predicted = found.window_force(other)
+    counted = found.settled(other)
     residual = (predicted - other.force)[counted]
     missed = math.nan
     if law not in _NEEDS_PEAKS:
