@@ -24,16 +24,16 @@ setup: ## Install what is missing and build both packages (a second call does no
 
 demo: setup ## Play a bag to identifier and model, then show a table and figures
 	@. ./env.bash
-	exec $(PROGRAMS)/demo $(ARGS)
+	exec $(PROGRAMS)/mr-damper demo $(ARGS)
 
 picture: setup ## Draw doc/demo.png, the first picture of the README, with the demo
 	@. ./env.bash
-	$(PROGRAMS)/demo --output build/demo
+	$(PROGRAMS)/mr-damper demo --output build/demo
 	cp build/demo/5.0mm_1Hz_1.5A.png doc/demo.png
 
 live: setup ## Serve a page on which an emulated rig is identified, until Ctrl-C
 	@. ./env.bash
-	exec $(PROGRAMS)/demo --live $(ARGS)
+	exec $(PROGRAMS)/mr-damper demo --live $(ARGS)
 
 thesis: setup ## Reproduce the thesis' results into build/thesis/report.html (ARGS=--quick: two minutes)
 	@. ./env.bash

@@ -1,15 +1,12 @@
 """Build of the package mr_damper_ros: called by colcon, and by pip and build for a wheel."""
 
 import importlib.util
-import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 from setuptools.command.build_py import build_py
-from setuptools.command.develop import develop
-from setuptools.command.install_scripts import install_scripts
 
 NAME = "mr_damper_ros"
 ROOT = Path(__file__).resolve().parent  # colcon runs a link to this file
@@ -17,58 +14,13 @@ NODES = (
     *("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply"),
     "suspension",
 )
-TOOLS = (
-    *(
-        "check_rig",
-        "demo",
-        "export",
-        "identify",
-        "identify_many",
-        "import_record",
-        "plan_run",
-        "replay_recording",
-        "validate",
-    ),
-    "watch",
-)
 
+BY_COLCON = bool({"develop", "install"} & set(sys.argv))
+"""Whether colcon calls this file, not pip or build for a wheel.
 
-HEAR = ["/usr/bin/env", "--block-signal=INT,TERM"]
-"""Command that starts a program with these signals blocked until the program unblocks them."""
-
-PROGRAM = """\
-#!{interpreter}
-# Signals are blocked while Python starts; the program unblocks them.
-import sys
-
-from {package}.entry_points import {function}
-
-# Child processes of a program also import this file.
-if __name__ == "__main__":
-    sys.exit({function}({arguments}))
+colcon installs programs where `ros2 run` looks (setup.cfg), so that the nodes can have short names.
+pip installs programs on the PATH, where names like `live`, `model` and `replay` have no place.
 """
-
-
-def interpreter() -> str:
-    """Return the interpreter line; signals are not blocked if `env` does not support it."""
-    hears = subprocess.run([*HEAR, "true"], capture_output=True, check=False).returncode == 0
-    return f"{HEAR[0]} -S {' '.join(HEAR[1:])} {sys.executable}" if hears else sys.executable
-
-
-class Programs:
-    """Mix-in of install commands: shorter program files, which handle signals from the start."""
-
-    def write_script(self, script_name: str, contents: str, *arguments: object) -> None:
-        """Write a program file; called by setuptools."""
-        if script_name in (*NODES, *TOOLS):
-            is_node = script_name in NODES
-            contents = PROGRAM.format(
-                interpreter=interpreter(),
-                package=NAME,
-                function=script_name if is_node else "tool",
-                arguments="" if is_node else repr(script_name),
-            )
-        super().write_script(script_name, contents, *arguments)  # type: ignore[misc]
 
 
 class BuildPy(build_py):
@@ -82,14 +34,6 @@ class BuildPy(build_py):
             folder.mkdir(parents=True, exist_ok=True)
             for message in ("MtsSamples", "SupplyCurrent"):
                 self.copy_file(str(ROOT / "msg_defs" / "msg" / f"{message}.msg"), str(folder))
-
-
-class Develop(Programs, develop):
-    """Programs of a build with --symlink-install."""
-
-
-class InstallScripts(Programs, install_scripts):
-    """Programs of any other build."""
 
 
 def data_files(*patterns: str) -> list[tuple[str, list[str]]]:
@@ -106,7 +50,7 @@ package = ElementTree.parse(ROOT / "package.xml").getroot()
 maintainer = package.find("maintainer")
 assert maintainer is not None
 
-if {"develop", "install"} & set(sys.argv) and not importlib.util.find_spec("mr_damper_msgs"):
+if BY_COLCON and not importlib.util.find_spec("mr_damper_msgs"):
     print(
         "The package mr_damper_msgs is not built, and no node starts without it: link its folder "
         "beside this package (ln -s mr_damper_ros/msg_defs src/mr_damper_msgs) and build again.",
@@ -168,9 +112,11 @@ setup(
         "visa": ["PyVISA==1.16.2", "PyVISA-py==0.8.1"],
     },
     zip_safe=False,
-    cmdclass={"build_py": BuildPy, "develop": Develop, "install_scripts": InstallScripts},
+    cmdclass={"build_py": BuildPy},
     entry_points={
-        "console_scripts": [f"{name} = {NAME}.entry_points:{name}" for name in NODES]
-        + [f"{name} = {NAME}.tools.{name}:main" for name in TOOLS],
+        "console_scripts": [
+            f"mr-damper = {NAME}.__main__:main",
+            *(f"{node} = {NAME}.entry_points:{node}" for node in NODES if BY_COLCON),
+        ],
     },
 )

@@ -7,7 +7,6 @@ hostile input. Their figures go to ``build/soak.json``.
 from __future__ import annotations
 
 import argparse
-import ctypes
 import json
 import math
 import os
@@ -25,6 +24,7 @@ import yaml
 
 from benchmarks.figure import Measured, Value
 from mr_damper_ros.processes.blas_threads import keep_one_thread
+from mr_damper_ros.processes.programs import signal_at_death_of
 
 _SOAK_OPTIONS: dict[str, tuple[float | int, str]] = {
     "hours": (8.0, "of data at 20 x"),
@@ -106,10 +106,10 @@ def measure(part: dict[str, Any], arguments: Sequence[Any], seed: int = 0) -> li
 
 
 def _measured(by: str, arguments: tuple[Any, ...], named: dict[str, int]) -> Measured:
-    # Leave in order when stopped or when the parent ends (prctl: PR_SET_PDEATHSIG), or the programs
-    # of the part, in sessions of their own, would go on.
+    # Leave in order when stopped or when the parent ends, or the programs of the part, in sessions
+    # of their own, would go on.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
-    ctypes.CDLL(None).prctl(1, signal.SIGTERM)
+    signal_at_death_of(os.getppid(), signal.SIGTERM)
     keep_one_thread()
     module, _, name = by.partition(".")
     try:

@@ -238,24 +238,21 @@ def _interrupt(nodes: Nodes, node: str, chance: random.Random) -> Interrupt:
     began = time.monotonic()
     arguments = node_arguments({}, {"__ns": "/interrupted" if node in _SENDING else "/"})
     process = nodes.start(node, *arguments, **INTERRUPTED[node])
-    _wait_until_held_back(process)
     time.sleep(max(began + age - time.monotonic(), 0.0))
-    pressed = time.monotonic()
+    loaded, pressed = _is_loaded(process), time.monotonic()
     for pause in pauses:
         time.sleep(pause)
         process.send_signal(signal.SIGINT)
     code = process.wait()
     duration = time.monotonic() - pressed
-    fault = f"exit code {code}" if code else ""
-    if "Traceback" in process.log or "KeyboardInterrupt" in process.log:
+    fault = f"exit code {code}" if loaded and code else ""
+    if loaded and ("Traceback" in process.log or "KeyboardInterrupt" in process.log):
         fault += f" {process.log[-400:]!r}"
     return Interrupt(node, age, len(pauses), duration, fault)
 
 
-def _wait_until_held_back(process: Program) -> None:
-    """Wait until the process blocks or catches SIGINT: from then on the package handles it."""
-    status = Path(f"/proc/{process.pid}/status")
-    while process.running:
-        fields = dict(line.split(":\t", 1) for line in status.read_text().splitlines())
-        if any(int(fields[name], 16) & 1 << (signal.SIGINT - 1) for name in ("SigBlk", "SigCgt")):
-            return
+def _is_loaded(process: Program) -> bool:
+    """Whether the node has loaded its modules: then it catches SIGTERM, which Python does not."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    fields = dict(line.split(":\t", 1) for line in status.splitlines())
+    return bool(int(fields["SigCgt"], 16) & 1 << (signal.SIGTERM - 1))

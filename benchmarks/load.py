@@ -1,8 +1,8 @@
 """The nodes under load: latency, lost samples, windows fitted, processor time, memory over hours.
 
-A node and a bare relay that receive the same blocks in turn; one damper at 1 and at 5 kHz; eight
-dampers at once, their identifiers and models in two processes; bridge and nodes on two machines
-with a bad network between them; a page with viewers; hours of data at increased speed.
+A node and a bare relay that receive the same blocks in turn; one damper at 1 and at 5 kHz; bridge
+and nodes on two machines with a bad network between them; a page with viewers; hours of data at
+increased speed.
 """
 
 from __future__ import annotations
@@ -335,54 +335,49 @@ _SHOWN = ("identifier: input", "model: input", "model: latency", "bridge: source
 
 @dataclass(frozen=True)
 class Load:
-    """Streams of the test: the number of ``dampers``, and the ``rate`` [Hz] and ``block`` size.
+    """Stream of the test: its ``rate`` [Hz] and ``block`` size.
 
-    With ``listens``, a subscriber counts all samples and predictions as well. For many dampers, it
-    would use much of a core itself. ``model`` are parameters of that node. ``inside`` returns the
-    context in which the bridges ("left") and the other nodes ("right") are started.
+    ``model`` are parameters of that node. ``inside`` returns the context in which the bridge
+    ("left") and the other nodes ("right") are started.
     """
 
-    dampers: int = 1
     rate: float = 1000.0
     block: int = 10
-    listens: bool = True
     model: dict[str, object] = field(default_factory=dict)
     domain: type[ProfiledDomain] = ProfiledDomain
     inside: Callable[[str], AbstractContextManager[None]] = lambda side: nullcontext()
 
 
-class Fleet(Nodes):
-    """The nodes of all dampers, and what was received from them.
+class StreamingNodes(Nodes):
+    """Bridge, identifier and model, and what was received from them.
 
-    These are diagnostics, fit reports and, if requested, samples.
+    These are samples, predictions, fit reports and diagnostics.
     """
 
     def __init__(self, load: Load) -> None:
         with load.inside("left"):
             super().__init__(load.domain())
         self._load = load
-        numbers = range(1, load.dampers + 1)
-        self.names = [f"damper_{number}" for number in numbers] if load.dampers > 1 else [""]
         self._said: dict[str, dict[str, str]] = {}
-        self._skipped = self._fits = 0
-        self._fitted: Counter[str] = Counter()
+        self._skipped = self._fits = self._fitted = 0
         self._missing: Counter[str] = Counter()
         self._ends: Counter[str] = Counter()
         self._last_report = time.monotonic()
         listen = self.observer.listen
         listen(DiagnosticArray, "/diagnostics", quality.stream(), self._take)
-        topics = {"mts/samples": MtsSamples, "damper/predicted_force": PredictedForce}
-        for name in self.names:
-            hear: Callable[..., None] = partial(self._report, name)
-            listen(FitReport, _full(name, "damper/fit_report"), quality.lossless(), hear)
-            for topic, kind in topics.items() if load.listens else ():
-                hear, self._missing[topic] = partial(self._count, topic), 0
-                listen(kind, _full(name, topic), quality.lossless(), hear)
+        listen(FitReport, "/damper/fit_report", quality.lossless(), self._report)
+        for topic, kind in (
+            ("mts/samples", MtsSamples),
+            ("damper/predicted_force", PredictedForce),
+        ):
+            hear: Callable[..., None] = partial(self._count, topic)
+            self._missing[topic] = 0
+            listen(kind, f"/{topic}", quality.lossless(), hear)
 
-    def _report(self, name: str, report: FitReport) -> None:
+    def _report(self, report: FitReport) -> None:
         self._last_report = time.monotonic()
         self._fits += report.verdict != Verdict.ACCEPTED_EARLY
-        self._fitted[name] += report.verdict not in (Verdict.ACCEPTED_EARLY, Verdict.FAILED)
+        self._fitted += report.verdict not in (Verdict.ACCEPTED_EARLY, Verdict.FAILED)
 
     def _count(self, topic: str, message: MtsSamples | PredictedForce) -> None:
         """Count the samples that are missing from a stream of blocks, which begins with sample 0.
@@ -394,73 +389,57 @@ class Fleet(Nodes):
 
     def _take(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name.endswith(_SHOWN):
+            if status.name in _SHOWN:
                 values = {item.key: item.value for item in status.values}
                 self._said[status.name] = values
                 self._skipped += int(values.get("skipped blocks", 0))
 
-    def sent(self, name: str) -> int:
-        """Number of samples that the bridge of a damper has sent, according to its diagnostics."""
-        said = self._said.get(f"{name}/bridge: source".lstrip("/"), {})
-        return int(said.get("samples sent", 0))
+    @property
+    def sent(self) -> int:
+        """Number of samples that the bridge has sent, according to its diagnostics."""
+        return int(self._said.get("bridge: source", {}).get("samples sent", 0))
 
-    def unfitted(self, name: str) -> int:
+    @property
+    def unfitted(self) -> int:
         """Number of windows of the sent samples that were not fitted or whose fit failed."""
-        known = self.sent(name) / self._load.rate - _CURRENT_PERIOD
+        known = self.sent / self._load.rate - _CURRENT_PERIOD
         windows = int((known - WindowSettings.window) / WindowSettings.hop + 1e-9) + 1
-        return max(windows - self._fitted[name], 0)
+        return max(windows - self._fitted, 0)
 
     def begin(self) -> None:
-        """Start all nodes, and wait for samples of all bridges."""
+        """Start all nodes, and wait for samples of the bridge."""
         load = self._load
-        places = [text for name in self.names if name for text in ("--namespace", name)]
         with load.inside("right"):
-            self.start("identifier", *places)
-            self.start("model", *places, **load.model)
-        for name in self.names:
-            for topic in ("damper/predicted_force", "damper/fit_report"):
-                self.observer.wait_for_publishers(_full(name, topic))
+            self.start("identifier")
+            self.start("model", **load.model)
+        for topic in ("/damper/predicted_force", "/damper/fit_report"):
+            self.observer.wait_for_publishers(topic)
         with load.inside("left"):
-            for name in self.names:
-                self.start_as(
-                    f"{name} bridge",
-                    "bridge",
-                    *("--ros-args", "-r", f"__ns:=/{name}", "--"),
-                    wait_for_subscribers=3 if load.listens else 2,
-                    wait_timeout=PATIENCE,
-                    emulated__sample_rate=load.rate,
-                    block_size=load.block,
-                )
-        self.observer.until(lambda: all(map(self.sent, self.names)), "samples of all bridges")
+            self.start(
+                "bridge",
+                wait_for_subscribers=3,
+                wait_timeout=PATIENCE,
+                emulated__sample_rate=load.rate,
+                block_size=load.block,
+            )
+        self.observer.until(lambda: self.sent > 0, "samples of the bridge")
 
     def used(self) -> dict[str, float]:
-        """Processor time [s] so far, by kind of process."""
-        found = {name: cpu_seconds(program.pid) for name, program in self.programs.items()}
-        return {
-            "identifiers": found["identifier"],
-            "workers": sum(map(cpu_seconds, self.programs["identifier"].children)),
-            "models": found["model"],
-            "bridges": sum(used for name, used in found.items() if name.endswith("bridge")),
-        }
+        """Processor time [s] of each node so far, without that of the worker."""
+        return {name: cpu_seconds(program.pid) for name, program in self.programs.items()}
 
     def drain(self) -> None:
         """Stop the samples; wait until all windows are fitted or reports stop, then for the rest.
 
         A stopped bridge still reports how many samples it has sent.
         """
-        for name in self.names:
-            bridge = _full(name, "bridge")
-            client = self.observer.node.create_client(ChangeState, f"{bridge}/change_state")
-            self.observer.until(client.service_is_ready, f"the services of {bridge}")
-            request = ChangeState.Request(
-                transition=Transition(id=Transition.TRANSITION_DEACTIVATE)
-            )
-            future = client.call_async(request)
-            self.observer.until(future.done, f"the end of the samples of {bridge}")
+        client = self.observer.node.create_client(ChangeState, "/bridge/change_state")
+        self.observer.until(client.service_is_ready, "the services of the bridge")
+        request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
+        future = client.call_async(request)
+        self.observer.until(future.done, "the end of the samples")
         self.observer.spin_for(_QUIET)
-        while any(map(self.unfitted, self.names)):
-            if time.monotonic() - self._last_report > _NO_REPORT:
-                break
+        while self.unfitted and time.monotonic() - self._last_report <= _NO_REPORT:
             self.observer.spin_for(_QUIET)
 
     @property
@@ -468,35 +447,30 @@ class Fleet(Nodes):
         """Number of samples lost, and details."""
         lost: Counter[str] = Counter()
         for node in ("identifier", "model"):
-            for name in self.names:
-                said = self._said[f"{name}/{node}: input".lstrip("/")]
-                lost[f"at the {node}"] += int(said["lost"]) + int(said["rejected messages"])
+            said = self._said[f"{node}: input"]
+            lost[f"at the {node}"] += int(said["lost"]) + int(said["rejected messages"])
         losses = {**lost, **{f"of {topic}": count for topic, count in self._missing.items()}}
         where = ", ".join(f"{count} {place}" for place, count in losses.items())
         note = (
-            f"{where}; {sum(map(self.sent, self.names))} sent, {self._fits} fits, {self._skipped} "
-            "blocks skipped by a model."
+            f"{where}; {self.sent} sent, {self._fits} fits, {self._skipped} blocks skipped by the "
+            "model."
         )
         return float(sum(losses.values())), note
 
 
-def _full(name: str, topic: str) -> str:
-    return f"/{name}/{topic}" if name else f"/{topic}"
-
-
-def measure(load: Load, duration: float) -> tuple[Fleet, dict[str, float]]:
+def measure(load: Load, duration: float) -> tuple[StreamingNodes, dict[str, float]]:
     """Stream for ``duration`` [s] on two cores.
 
-    Returns the received messages and the processor time of each kind of process [s/s].
+    Returns the received messages and the processor time of each node [s/s].
     """
-    with on_cores(_two_cores()), Fleet(load) as fleet:
-        fleet.begin()
-        fleet.observer.spin_for(_SETTLED)
-        began, before = time.monotonic(), fleet.used()
-        fleet.observer.spin_for(duration)
-        elapsed, after = time.monotonic() - began, fleet.used()
-        fleet.drain()
-        return fleet, {kind: (after[kind] - before[kind]) / elapsed for kind in after}
+    with on_cores(_two_cores()), StreamingNodes(load) as nodes:
+        nodes.begin()
+        nodes.observer.spin_for(_SETTLED)
+        began, before = time.monotonic(), nodes.used()
+        nodes.observer.spin_for(duration)
+        elapsed, after = time.monotonic() - began, nodes.used()
+        nodes.drain()
+        return nodes, {name: (after[name] - before[name]) / elapsed for name in after}
 
 
 def figures(duration: float = 600.0) -> Measured:
@@ -506,18 +480,8 @@ def figures(duration: float = 600.0) -> Measured:
     return {
         "lost_1khz": slow.told,
         "lost_5khz": fast.told,
-        "cpu_model_percent": 100.0 * cpu["models"],
-        "cpu_identifier_percent": 100.0 * cpu["identifiers"],
-    }
-
-
-def eight_rig_figures(duration: float = 120.0, dampers: int = 8) -> Measured:
-    """All identifiers in a process with two workers, all models in another."""
-    fleet, used = measure(Load(dampers, listens=False), duration)
-    return {
-        "eight_rigs_lost": fleet.told,
-        "eight_rigs_unfitted": float(sum(map(fleet.unfitted, fleet.names))),
-        **{f"eight_rigs_cpu_{kind}_percent": 100.0 * share for kind, share in used.items()},
+        "cpu_model_percent": 100.0 * cpu["model"],
+        "cpu_identifier_percent": 100.0 * cpu["identifier"],
     }
 
 

@@ -80,7 +80,7 @@ print(f"passive, 0 A: {comfort(False):.2f} m/s2; skyhook: {comfort(True):.2f} m/
 # Save the set, then export the law and its inverse as C, M-code or an FMU:
 #
 # ```bash
-# ros2 run mr_damper_ros export build/examples/whole.yaml --format fmu --output build/examples
+# mr-damper export build/examples/whole.yaml --format fmu --output build/examples
 # ```
 
 # %%

@@ -1,29 +1,52 @@
-"""Run any program of the package as ``python -m mr_damper_ros PROGRAM ...``.
-
-Two program names, ``export`` and ``watch``, have another meaning in a shell.
-"""
+"""Identify, validate, plan and export magnetorheological dampers, and show them live."""
 
 from __future__ import annotations
 
+import argparse
+import signal
 import sys
-from importlib.metadata import PackageNotFoundError, distribution
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.metadata import version
+
+from mr_damper_ros.processes.exits import TERMINATED, exit_code
+
+COMMANDS = {
+    "identify": "fit one parameter set of a force law to recordings",
+    "validate": "report the error of a parameter set on recordings",
+    "import": "convert a text, CSV, MAT, XLSX or TDMS file to a bag",
+    "check": "check the live signals of a rig and report faults (needs ROS 2)",
+    "plan": "recommend the run of the test machine that is most informative",
+    "replay": "report what identifier and model would have published for a recording",
+    "export": "write a parameter set as code for a controller, with test vectors",
+    "watch": "show the state of the running system in the terminal (needs ROS 2)",
+    "demo": "play a bag to the nodes, and draw measured and predicted force (needs ROS 2)",
+    "live": "show the running system (needs ROS 2) or a recording on a page",
+}
+"""The commands, with one line of help each. Each is a module of the package ``tools``."""
 
 
-def main() -> int:
-    """Run the program that the first argument names; returns its exit code."""
-    try:
-        entries = distribution("mr_damper_ros").entry_points
-    except PackageNotFoundError:
-        print("mr_damper_ros is not installed: run pip install . in its clone", file=sys.stderr)
-        return 2
-    programs = {entry.name: entry for entry in entries if entry.group == "console_scripts"}
-    name = sys.argv[1] if len(sys.argv) > 1 else ""
-    if name not in programs:
-        print(f"mr_damper_ros: the programs are {', '.join(sorted(programs))}", file=sys.stderr)
-        return 2
-    del sys.argv[0]
-    code: int = programs[name].load()()
-    return code
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command that the first argument names; returns its exit code."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    # By default the process would end without cleaning up, and leave the nodes that it has started.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
+    parser = argparse.ArgumentParser(
+        "mr-damper", description=__doc__, epilog="mr-damper COMMAND --help describes a command."
+    )
+    parser.add_argument("--version", action="version", version=version("mr_damper_ros"))
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name, text in COMMANDS.items():
+        commands.add_parser(name, help=text, add_help=False)
+    # The module of the command, which takes seconds to load, parses the other arguments.
+    command = parser.parse_args(given[:1]).command
+    module = f"mr_damper_ros.tools.{'import_' if command == 'import' else command}"
+
+    def run() -> int:
+        code: int = import_module(module).main(given[1:])
+        return code
+
+    return exit_code(f"mr-damper {command}", run)
 
 
 if __name__ == "__main__":

@@ -28,14 +28,16 @@ PATH=$PWD/../env/bin:$PATH
 set -x
 python readme.py
 test -s damper.yaml -a -s damper.png
-import_record doc/example.csv --columns time:s,displacement:mm,force:N --current 0.5 --output run
-identify run --output set.yaml --plot figures
-validate set.yaml run
-plan_run --velocity 0.02 0.1 --current 0 1.5 --amplitude 0.01 --force 2000 run
-python -m mr_damper_ros export set.yaml --format c --output code
-for program in check_rig identifier live; do
+mr-damper import doc/example.csv --columns time:s,displacement:mm,force:N --current 0.5 --output run
+mr-damper identify run --output set.yaml --plot figures
+mr-damper validate set.yaml run
+mr-damper plan --velocity 0.02 0.1 --current 0 1.5 --amplitude 0.01 --force 2000 run
+mr-damper export set.yaml --format c --output code
+installed="from importlib.metadata import files; print(*(f.name for f in files('mr_damper_ros') if 'bin' in f.parts))"
+test "$(../env/bin/python -c "$installed")" = mr-damper
+for command in check demo live watch; do
   code=0
-  said=$("$program" 2>&1) || code=$?
+  said=$(mr-damper "$command" 2>&1) || code=$?
   test "$code" = 2
   [[ $said == *"ROS 2"* && $said != *Traceback* ]]
 done

@@ -17,6 +17,7 @@ from xml.etree import ElementTree
 from law_figures import coefficient_figure, shape_figure
 from sphinx.ext.autodoc.mock import mock
 
+from mr_damper_ros.__main__ import COMMANDS, main
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.settings.option_table import options
 
@@ -62,19 +63,6 @@ SYMBOLS = {
     "[the extended law](../extended_law.md).",
 }
 """Symbols of an equation that differ from the names of the parameters."""
-
-PROGRAMS = (
-    "check_rig",
-    "import_record",
-    "identify",
-    "export",
-    "identify_many",
-    "plan_run",
-    "replay_recording",
-    "validate",
-    "watch",
-    "demo",
-)
 
 TYPES = {
     "mts/samples": "MtsSamples",
@@ -184,14 +172,18 @@ def messages_page() -> str:
 
 
 def programs_page() -> str:
-    """The help text of every command-line program."""
-    parts = ["# The programs", "", "Run them after `. ./env.bash`, or with `ros2 run`.", ""]
-    for name in PROGRAMS:
+    """The help text of every command."""
+    parts = [
+        "# The command mr-damper",
+        "",
+        "In a workspace: `ros2 run mr_damper_ros mr-damper`.",
+        "",
+    ]
+    for name in COMMANDS:
         text = StringIO()
         os.environ["COLUMNS"] = "78"  # the width that argparse writes for
-        program = importlib.import_module(f"mr_damper_ros.tools.{name}")
         with redirect_stdout(text), suppress(SystemExit):
-            program.main(["--help"])
+            main([name, "--help"])
         parts += [f"## {name}", "", "```text", text.getvalue().rstrip(), "```", ""]
     return "\n".join(parts)
 

@@ -174,7 +174,7 @@ def _recordings(path: Path) -> list[Recording]:
     if path.suffix.lower() in RECORD_ENDINGS and path.is_file():
         raise ValueError(
             f"{path} is not a bag: describe its columns and units to read_record in Python, or "
-            "convert it with import_record"
+            "convert it with mr-damper import"
         )
     from mr_damper_ros.io.bag_reader import read_bag  # imported here, because only bags need it
 
@@ -227,7 +227,7 @@ def _smoothing_remarks(runs: Sequence[MeasuredRun]) -> list[str]:
     more = f" and {len(named) - _MOST} more runs" if len(named) > _MOST else ""
     return [
         f"the force of {', '.join(named[:_MOST])}{more} was smoothed by a moving average, which "
-        "distorts fast motions: undo it with import_record --undo-moving-average N; the record "
+        "distorts fast motions: undo it with mr-damper import --undo-moving-average N; the record "
         "must begin at rest"
     ]
 
@@ -286,7 +286,7 @@ def _within(run: MeasuredRun, table: Array) -> list[str]:
             return [
                 f"{run.name}: at {current:.3g} A and the same speed the force reaches "
                 f"{heights[1]:.3g} N in some cycles and {heights[-2]:.3g} N in others: does the "
-                "record hold several currents? (import_record --split cuts it into its runs)"
+                "record hold several currents? (mr-damper import --split cuts it into its runs)"
             ]
     return []
 

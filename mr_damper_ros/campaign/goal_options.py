@@ -1,4 +1,4 @@
-"""Options of the goal and of the machine of a campaign, for the node and ``plan_run``."""
+"""Options of the goal and of the machine of a campaign, for the node and ``mr-damper plan``."""
 
 from __future__ import annotations
 

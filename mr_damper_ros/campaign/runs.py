@@ -228,7 +228,7 @@ def signal(run: PlannedRun, sample_rate: float) -> tuple[Array, Array, Array]:
 
 
 def write_signal(run: PlannedRun, path: Path, sample_rate: float = 1000.0) -> None:
-    """Write the samples of a run as CSV, in the format of ``import_record``. Raises OSError."""
+    """Write the samples of a run as CSV, in the format of ``mr-damper import``. Raises OSError."""
     columns = ("time:s", "displacement:m", "current:A")
     rows = zip(*signal(run, sample_rate), strict=True)
     write_text(path, csv_text(columns, ([f"{value:.9g}" for value in row] for row in rows)))

@@ -129,7 +129,7 @@ class OpenBag:
             raise BagError(
                 f"the topic {found[0]} in the bag '{self.name}' has the type {types[found[0]]}, "
                 f"not {message_type}: record that type, or convert a text or MAT file to a bag "
-                "with ros2 run mr_damper_ros import_record"
+                "with mr-damper import"
             )
         listed = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(types.items())) or "none"
         raise BagError(
@@ -176,7 +176,7 @@ def opened_bag(
     if not is_bag:
         raise BagError(
             f"{path} is not a bag: give the folder that holds metadata.yaml, or its .mcap or .db3 "
-            "file; import_record makes a bag from a text, CSV or MAT file"
+            "file; mr-damper import makes a bag from a text, CSV or MAT file"
         )
     check_bag_files(path, maximum_samples)
     with failures_in_words(name):

@@ -220,5 +220,5 @@ def too_long(name: str, maximum_samples: int) -> RecordError:
     """The error for a file with too many samples."""
     return RecordError(
         f"{name} holds more than {maximum_samples} samples: split it, or allow more "
-        "(import_record --maximum-samples)"
+        "(mr-damper import --maximum-samples)"
     )

@@ -181,7 +181,7 @@ class SampledRecord:
             raise RecordError(
                 f"the time in {self.place(row)} of {name} does not increase ({time[row]:.9g} s "
                 f"after {time[row - 1]:.9g} s): choose a part without this row, cut the record "
-                "into its runs (import_record --split), or give the period instead of the column"
+                "into its runs (mr-damper import --split), or give the period instead of the column"
             )
         usual = float(np.median(steps))
         gaps = np.flatnonzero(steps > _GAP * usual)
@@ -190,7 +190,7 @@ class SampledRecord:
             raise RecordError(
                 f"the time in {self.place(row)} of {name} increases by {steps[row - 1]:.6g} s "
                 f"instead of {usual:.6g} s: choose a part of the record without the gap, or cut it "
-                "into its runs (import_record --split)"
+                "into its runs (mr-damper import --split)"
             )
         # Unlike the median step, the mean step is not affected by rounding of the printed times.
         period = _plain(float(time[-1] - time[0]), time.size - 1, float(np.spacing(time[-1])))

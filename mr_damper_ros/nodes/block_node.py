@@ -70,8 +70,8 @@ class BlockNode(Node, Generic[Options, Answer]):
     doing: ClassVar[str]
     """Word for the use of the parameter set in messages, such as "predicting"."""
 
-    def __init__(self, name: str, table: type[Options], cli_args: list[str] | None = None) -> None:
-        super().__init__(name, cli_args=cli_args)
+    def __init__(self, name: str, table: type[Options]) -> None:
+        super().__init__(name)
         self._options: Options = NodeParameters(self, table).values
         # The remaining work on the newest block, and when it is due.
         self._work: Callable[[], None] | None = None

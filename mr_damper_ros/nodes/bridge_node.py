@@ -110,7 +110,7 @@ class BridgeParameters(ManagedOptions):
         0.0,
         "Delay [s] of the force relative to the displacement, caused by a filter or a "
         "multiplexer; negative if the force is earlier. The bridge compensates for it; "
-        "`check_rig` measures it.",
+        "`mr-damper check` measures it.",
         within=(-0.1, 0.1),
     )
     sources: dict[str, ParameterTable] = groups(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -293,6 +294,7 @@ class CampaignNode(Node):
         return Finding(level, f"run {status.run}: {'; '.join(sentences)}", figures)
 
 
-def main(workers: WorkerPool) -> int:
-    """Run the node, with workers that the caller closes."""
-    return run(partial(CampaignNode, Worker(workers)), CampaignParameters)
+def main() -> int:
+    """Run the node and its worker; returns the exit code."""
+    with closing(WorkerPool("scipy.optimize mr_damper_ros.campaign.course")) as workers:
+        return run(partial(CampaignNode, Worker(workers)), CampaignParameters)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -105,8 +106,8 @@ _MOST_GOALS = 20
 class IdentifierNode(Node):
     """Passes incoming data to the identification, and publishes its results."""
 
-    def __init__(self, worker: Worker, cli_args: list[str] | None = None) -> None:
-        super().__init__("identifier", cli_args=cli_args)
+    def __init__(self, worker: Worker) -> None:
+        super().__init__("identifier")
         options = NodeParameters(self, IdentifierParameters).values
         self._frame_id = options.frame_id
         # Two dampers in two namespaces may share a folder.
@@ -364,8 +365,6 @@ class IdentifierNode(Node):
             )
         if not worker.pool.ready:
             return Finding(OK, "the process is starting", values)
-        if worker.waits:
-            return Finding(OK, "waiting for a free worker process", values)
         return Finding(OK, identifier.running or "idle", values)
 
     def _find_parameters(self) -> Finding:
@@ -430,11 +429,8 @@ def _identifier(options: IdentifierParameters, own_name: str, worker: Worker) ->
     )
 
 
-def main(workers: WorkerPool) -> int:
-    """Run the node, or one in each of several namespaces, with workers that the caller closes."""
-
-    def node(cli_args: list[str] | None = None) -> IdentifierNode:
-        return IdentifierNode(Worker(workers), cli_args)
-
-    poll = IdentifierNode.poll_in_time
-    return run(node, IdentifierParameters, between=poll, hosted=True, shared_workers=workers)
+def main() -> int:
+    """Run the node and its worker; returns the exit code."""
+    with closing(WorkerPool("scipy.optimize mr_damper_ros.tracking.tracker")) as workers:
+        node, poll = partial(IdentifierNode, Worker(workers)), IdentifierNode.poll_in_time
+        return run(node, IdentifierParameters, between=poll)

@@ -232,7 +232,7 @@ class LiveParameters(ParameterTable):
     )
     record_folder: str = option(
         "~/.ros/recordings",
-        "Folder for the bags recorded from the page; `live --bag FILE` opens them again.",
+        "Folder for the bags recorded from the page; `mr-damper live --bag FILE` opens them again.",
     )
     allowed_hosts: str = option(
         "",

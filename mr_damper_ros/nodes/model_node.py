@@ -69,8 +69,8 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
 
     answer, doing = "prediction", "predicting"
 
-    def __init__(self, cli_args: list[str] | None = None) -> None:
-        super().__init__("model", ModelParameters, cli_args)
+    def __init__(self) -> None:
+        super().__init__("model", ModelParameters)
         options = self._options
         predictor = ForcePredictor(options.predictor, options.grid)
         if options.newest_first:
@@ -205,4 +205,4 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         return Finding(level, f"valid; NRMSE {nrmse:.1%} of the measured force", values)
 
 
-main = partial(run, ModelNode, ModelParameters, between=ModelNode.finish_in_time, hosted=True)
+main = partial(run, ModelNode, ModelParameters, between=ModelNode.finish_in_time)

@@ -2,108 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import atexit
+import ctypes
 import os
-import re
 import signal
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple, NoReturn
-
-
-class Place(NamedTuple):
-    """A namespace for a node, and the path of its parameter file, empty for none."""
-
-    namespace: str
-    file: str = ""
-
-    @property
-    def arguments(self) -> list[str]:
-        """ROS arguments for this node, in addition to the arguments of all nodes."""
-        file = ["--params-file", self.file] if self.file else []
-        return ["--ros-args", "-r", f"__ns:=/{self.namespace}", *file]
-
-
-class Hosting(NamedTuple):
-    """The ``places`` of several nodes (empty for one node), and the ``rest`` of the arguments."""
-
-    places: tuple[Place, ...]
-    workers: int
-    rest: tuple[str, ...]
-
-
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        raise ValueError(message)
-
-
-def hosting_parser(*, shared_workers: bool = True) -> argparse.ArgumentParser:
-    """The options of a program that can run a node in each of several namespaces.
-
-    Without ``shared_workers`` there is no option for the number of worker processes.
-    """
-    parser = _Parser(add_help=False, allow_abbrev=False, usage=argparse.SUPPRESS)
-    parser.add_argument(
-        "--namespace",
-        type=_place,
-        nargs="?",
-        const="",
-        action="append",
-        default=[],
-        metavar="NAME[=FILE]",
-        help="namespace of a node, and its parameter file; repeat the option for each node",
-    )
-    if shared_workers:
-        parser.add_argument(
-            "--workers",
-            type=_positive,
-            nargs="?",
-            const="",
-            metavar="NUMBER",
-            help="number of worker processes for all nodes (default: number of processors)",
-        )
-    return parser
-
-
-def _place(text: str) -> Place:
-    name, _, file = text.partition("=")
-    if not re.fullmatch(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*", name):
-        raise argparse.ArgumentTypeError(
-            f"the name is {name!r}: it must consist of letters, digits and underscores"
-        )
-    return Place(name.lstrip("/"), file)
-
-
-def _positive(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"the number is {text!r}: it must be at least 1")
-    return int(text)
-
-
-def hosting(arguments: Sequence[str], *, shared_workers: bool = True) -> Hosting:
-    """Parse the arguments of a program, without its name and the ROS arguments.
-
-    Raises ValueError if the arguments are invalid.
-    """
-    parser = hosting_parser(shared_workers=shared_workers)
-    options, rest = parser.parse_known_args(arguments)
-    names = [place.namespace for place in options.namespace]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"the namespace {name} is given twice")
-    workers = getattr(options, "workers", None) or min(max(len(names), 1), _processors())
-    return Hosting(tuple(options.namespace), workers, tuple(rest))
-
-
-def _processors() -> int:
-    """Number of processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
 
 PATIENCE = 60.0
 """Deadline [s] for the start or end of a process; generous, for a loaded machine."""
@@ -113,15 +23,25 @@ class ProgramError(RuntimeError):
     """A program did not behave as expected; the message contains its output."""
 
 
-_STARTER = "MR_DAMPER_STARTER"
-"""Environment variable of a node (entry_points.py): the process with which the node must end."""
+_LIBC = ctypes.CDLL(None)
+
+
+def signal_at_death_of(parent: int, number: signal.Signals) -> None:
+    """Let this process receive a signal when its parent dies, for whatever reason (Linux).
+
+    The signal comes at once if the parent has died before. The request outlives `exec`.
+    """
+    if sys.platform == "linux":
+        _LIBC.prctl(1, number)  # PR_SET_PDEATHSIG
+    if os.getppid() != parent:
+        os.kill(os.getpid(), number)
 
 
 class Program:
     """A running program; its output is kept in memory, so that it never blocks.
 
-    ``environment`` is added to the environment of this process. A node ends when the thread that
-    has started it ends, even if it is killed. Raises OSError if the program does not exist.
+    ``environment`` is added to the environment of this process. The program ends when the thread
+    that has started it ends, even if it is killed. Raises OSError if the program does not exist.
     """
 
     def __init__(
@@ -138,8 +58,9 @@ class Program:
                 stdin=subprocess.DEVNULL,
                 stdout=self._stdout,
                 stderr=self._stderr,
-                env={**os.environ, **(environment or {}), _STARTER: str(os.getpid())},
+                env={**os.environ, **(environment or {})},
                 start_new_session=True,
+                preexec_fn=partial(signal_at_death_of, os.getpid(), signal.SIGTERM),
             )
             # If this process fails, the program and its children must not continue.
             atexit.register(self._process.kill)

@@ -15,7 +15,6 @@ of the program. Tasks and answers are pickles over a private socket pair.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import itertools
 import math
 import os
@@ -36,7 +35,7 @@ from typing import Any
 
 from mr_damper_ros.processes.blas_threads import keep_one_thread, one_thread
 from mr_damper_ros.processes.files import reason_of
-from mr_damper_ros.processes.programs import PATIENCE
+from mr_damper_ros.processes.programs import PATIENCE, signal_at_death_of
 
 GRACE = 1.0
 """Time [s] that a task has to stop after it was asked to, that a killed process has to end, that a
@@ -65,19 +64,9 @@ def child_command(function: Callable[..., object], *arguments: str) -> list[str]
     return [sys.executable, "-I", "-c", _START, str(len(call)), *call, *paths]
 
 
-def request_signal_at_death(number: signal.Signals) -> None:
-    """Let this process receive a signal when its parent dies, for whatever reason (Linux)."""
-    if sys.platform == "linux":
-        with contextlib.suppress(OSError):
-            ctypes.CDLL(None).prctl(1, number)  # PR_SET_PDEATHSIG
-
-
 def _run(parent: str, module: str, function: str, *arguments: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    request_signal_at_death(signal.SIGKILL)
-    # The parent may have died before.
-    if os.getppid() != int(parent):
-        os._exit(1)
+    signal_at_death_of(int(parent), signal.SIGKILL)
     getattr(import_module(module), function)(*arguments)
 
 

@@ -12,23 +12,19 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import is_dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from mr_damper_ros.api.comparison import FORMATS, ComparedRun, save_figures
 from mr_damper_ros.api.identification import identify
 from mr_damper_ros.estimation.differential_evolution import GlobalProgress
-from mr_damper_ros.processes.dependencies import missing_dependency
+from mr_damper_ros.processes.exits import FAILED, exit_code
 from mr_damper_ros.processes.files import reason_of, write_text
+from mr_damper_ros.settings.option_table import options as table_options
 
 Self = TypeVar("Self", bound="StatusLine")
-
-FAILED = 2
-"""Exit code if the input or the options are invalid."""
-
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as in shells."""
 
 
 def program(
@@ -40,40 +36,30 @@ def program(
 ) -> Callable[..., int]:
     """Return the ``main`` of a program: it parses its arguments and returns the code of ``run``.
 
-    ``name``: the name of the program or of its module; ``description``: the docstring of its
-    module; ``options`` adds the options of the program to a parser.
+    ``options`` adds the options of the program to a parser.
 
     A user error gives one sentence on standard error and exit code 2. User errors are ValueError
     and its subclasses in this package, OSError, a lack of memory, and a missing dependency. Any
     other exception is a fault of the program and keeps its traceback.
     """
-    prog = name.rpartition(".")[2]
 
     def main(arguments: Sequence[str] | None = None) -> int:
         style = argparse.RawDescriptionHelpFormatter
-        parser = argparse.ArgumentParser(prog, None, description, epilog, formatter_class=style)
+        parser = argparse.ArgumentParser(name, None, description, epilog, formatter_class=style)
         options(parser)
         # Not only a negative number is a value, but also the columns "-,force:N".
         parser._negative_number_matcher = re.compile(r"-[^-a-zA-Z]")
-        try:
-            code = run(parser.parse_args(arguments))
-            sys.stdout.flush()
-            return code
-        except KeyboardInterrupt:
-            sys.stderr.write(f"\n{prog}: stopped by Ctrl-C\n")
-            return INTERRUPTED
-        except BrokenPipeError:
-            # The reader has closed the pipe; without this, Python would fail in its final flush.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return 0
-        except (MemoryError, OSError, ValueError) as error:
-            sentence = reason_of(error)
-        except ModuleNotFoundError as error:
-            sentence = missing_dependency(error)
-            if not sentence:
+
+        def work() -> int:
+            try:
+                return run(parser.parse_args(arguments))
+            except BrokenPipeError:
                 raise
-        sys.stderr.write(f"{prog}: {sentence}\n")
-        return FAILED
+            except (MemoryError, OSError, ValueError) as error:
+                sys.stderr.write(f"{name}: {reason_of(error)}\n")
+                return FAILED
+
+        return exit_code(name, work)
 
     return main
 
@@ -102,41 +88,81 @@ def _flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
+class _Declared(NamedTuple):
+    """An option as the library declares it; ``default`` is `inspect.Parameter.empty` for none."""
+
+    kind: str
+    default: Any
+    text: str
+
+
+def _declared_by(source: Callable[..., object]) -> dict[str, _Declared]:
+    """The options that a table, or the parameters of a function, declare, by name.
+
+    The lowest and the highest value of a quantity in a table are also one option, a range.
+    """
+    if not is_dataclass(source):
+        texts = parameter_texts(source)
+        return {
+            name: _Declared(str(given.annotation).partition(" |")[0], given.default, texts[name])
+            for name, given in inspect.signature(source).parameters.items()
+            if name in texts
+        }
+    found = {
+        item.name: _Declared(item.kind.__name__, item.default, item.description)
+        for item in table_options(source)
+    }
+    for name in [name for name in found if name.startswith("lowest_")]:
+        low, high = found[name], found[name.replace("lowest_", "highest_")]
+        text = low.text.replace("Lowest", "Lowest and highest")
+        pair = _Declared(low.kind, [low.default, high.default], text)
+        found[name.removeprefix("lowest_")] = pair
+    return found
+
+
 def add_arguments(
     parser: argparse.ArgumentParser | argparse._ArgumentGroup,
-    function: Callable[..., object],
+    source: Callable[..., object],
     names: Iterable[str],
     choices: Mapping[str, Sequence[str]] | None = None,
     flags: Mapping[str, str] | None = None,
+    without_default: Sequence[str] = (),
 ) -> None:
-    """Add an option for each named parameter of a function.
+    """Add an option for each named parameter of a function, or option of a table.
 
-    Type, default and help text are taken from the function (:func:`parameter_texts`). The unit in
-    the help text, such as [A], becomes the placeholder of a number. ``flags`` gives the names of
-    options that differ from their parameters.
+    Type, default and help text are taken from the function (:func:`parameter_texts`) or the table.
+    The unit in the help text, such as [A], becomes the placeholder of a number. ``flags`` gives the
+    names of options that differ from their parameters. An option ``without_default`` is None if it
+    is not given.
     """
-    parameters, texts = inspect.signature(function).parameters, parameter_texts(function)
+    declared = _declared_by(source)
     for name in names:
-        default = parameters[name].default
-        kind = str(parameters[name].annotation).partition(" |")[0]
+        kind, default, text = declared[name]
         flag = (flags or {}).get(name, _flag(name))
-        text = texts[name].replace("%", "%%")
+        text = text.replace("%", "%%")
         if kind == "bool":
             parser.add_argument(flag, dest=name, action="store_true", help=text)
             continue
+        if name in without_default:
+            default = None
         needed = default is inspect.Parameter.empty
         told = "" if needed or default in (None, ()) else " Default: %(default)s."
+        is_range = isinstance(declared[name].default, list)
         chosen = (choices or {}).get(name)
-        unit = re.search(r"\[([^\]\s]+)", text) if kind in _TYPES else None
+        placeholder: Any = None if chosen else name.rpartition("_")[2].upper()
+        if is_range:
+            placeholder = ("LOW", "HIGH")
+        elif kind in _TYPES and (unit := re.search(r"\[([^\]\s]+)", text)):
+            placeholder = unit[1]
         parser.add_argument(
             flag,
             dest=name,
             type=_TYPES.get(kind, str),
             default=None if needed else default,
             required=needed,
-            nargs="+" if kind.startswith("Sequence") else None,
+            nargs=2 if is_range else "+" if kind.startswith("Sequence") else None,
             choices=chosen,
-            metavar=unit[1] if unit else None if chosen else name.rpartition("_")[2].upper(),
+            metavar=placeholder,
             help=text + told,
         )
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import re
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
@@ -42,10 +41,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
 
 
 def _demo(options: argparse.Namespace) -> int:
-    from ament_index_python.packages import get_package_share_directory
-
-    share = Path(get_package_share_directory("mr_damper_ros"))
-    bag = options.bag or share / "bags" / "5.0mm_1Hz_1.5A"
+    bag = options.bag or _prefix() / "share" / "mr_damper_ros" / "bags" / "5.0mm_1Hz_1.5A"
     recording = max(read_bag(bag), key=lambda part: part.sample_count)
     print(f"bag: {bag}")
     for key, text in recording.details.items():
@@ -113,6 +109,19 @@ def _live(options: argparse.Namespace) -> int:
     return 0
 
 
+def _prefix() -> Path:
+    """Folder of the installed package with its nodes and bags. Raises ValueError."""
+    from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+
+    try:
+        return Path(get_package_prefix("mr_damper_ros"))
+    except PackageNotFoundError:
+        raise ValueError(
+            "ROS 2 does not find the nodes of this package: build it in a workspace and source "
+            "install/setup.bash"
+        ) from None
+
+
 @contextmanager
 def _own_domain() -> Iterator[Callable[..., Program]]:
     """A function that starts nodes of this installation in a reserved domain, until the end.
@@ -122,9 +131,7 @@ def _own_domain() -> Iterator[Callable[..., Program]]:
     with RosDomain() as domain, domain.entered(), ExitStack() as stack:
 
         def start(name: str, **parameters: object) -> Program:
-            path = Path(sys.argv[0]).resolve().parent / name
-            if not path.exists():
-                raise ValueError(f"{path} does not exist: build the package with `make setup`")
+            path = _prefix() / "lib" / "mr_damper_ros" / name
             return stack.enter_context(closing(Program([str(path), *node_arguments(parameters)])))
 
         yield start
@@ -182,6 +189,8 @@ def _predicted(recording: Recording, blocks: Sequence[Any], forces: Sequence[Any
     )
 
 
-main = program(
-    __name__, __doc__, _options, lambda options: _live(options) if options.live else _demo(options)
-)
+def _run(options: argparse.Namespace) -> int:
+    return _live(options) if options.live else _demo(options)
+
+
+main = program("mr-damper demo", __doc__, _options, _run)

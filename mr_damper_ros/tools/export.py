@@ -12,7 +12,7 @@ from mr_damper_ros.control.export.source_code import functions, header
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import write_bytes
 from mr_damper_ros.settings.option_table import options
-from mr_damper_ros.tools.console import add_path, program
+from mr_damper_ros.tools.console import add_arguments, add_path, arguments_of, program
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
@@ -27,19 +27,11 @@ def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--name", default="mr_damper", help="prefix of the names in C (default %(default)s)"
     )
-    for item in options(ExportSettings):
-        parser.add_argument(
-            f"--{item.name.replace('_', '-')}",
-            type=float,
-            default=item.default,
-            help=item.description.rstrip(".") + " (default %(default)s)",
-        )
+    add_arguments(parser, ExportSettings, [item.name for item in options(ExportSettings)])
 
 
 def _export(chosen: argparse.Namespace) -> int:
-    settings = ExportSettings(
-        **{item.name: getattr(chosen, item.name) for item in options(ExportSettings)}
-    )
+    settings = ExportSettings(**arguments_of(chosen, ExportSettings))
     law = ExportedLaw(ParameterSet.load(chosen.parameters), settings)
     if law.parameters.doubt_over_current:
         print(f"WARNING: {law.parameters.doubt_over_current}", file=sys.stderr)
@@ -60,4 +52,4 @@ _FORMATS: dict[str, Callable[[ExportedLaw, str], dict[str, str | bytes]]] = {
 """The files of each format, by their names."""
 
 
-main = program(__name__, __doc__, _options, _export)
+main = program("mr-damper export", __doc__, _options, _export)

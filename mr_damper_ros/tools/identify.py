@@ -15,6 +15,7 @@ from mr_damper_ros.estimation.experiment_design import MachineLimits
 from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
 from mr_damper_ros.estimation.record_levels import USUAL_SPREAD
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.processes.exits import FAILED, INTERRUPTED
 from mr_damper_ros.tools import console
 
 EXPLAINS_TOO_LITTLE = 3
@@ -33,8 +34,8 @@ _OPTIONS = (
 
 _EPILOG = f"""\
 Exit code: 0: success; {EXPLAINS_TOO_LITTLE}: the NRMSE of a run exceeds
-{100 * LARGEST_RUN_NRMSE:.0f} %, all results are written; {console.FAILED}: a bag or an option
-cannot be used; {console.INTERRUPTED}: Ctrl-C was pressed twice, or after the search.
+{100 * LARGEST_RUN_NRMSE:.0f} %, all results are written; {FAILED}: a bag or an option
+cannot be used; {INTERRUPTED}: Ctrl-C was pressed twice, or after the search.
 """
 
 
@@ -81,4 +82,4 @@ def _identify(options: argparse.Namespace) -> int:
     return 0 if result.explains else EXPLAINS_TOO_LITTLE
 
 
-main = console.program(__name__, __doc__, _options, _identify, _EPILOG)
+main = console.program("mr-damper identify", __doc__, _options, _identify, _EPILOG)

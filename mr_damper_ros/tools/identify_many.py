@@ -14,6 +14,7 @@ from typing import Any
 from mr_damper_ros.api.identification import identify
 from mr_damper_ros.lots.many_dampers import ManyDampers, identify_many
 from mr_damper_ros.lots.report import require_parquet, write_population_report, write_rows
+from mr_damper_ros.processes.exits import FAILED, INTERRUPTED
 from mr_damper_ros.tools import console
 from mr_damper_ros.tools.identify import SEARCH_CHOICES, SEARCH_OPTIONS
 
@@ -38,7 +39,7 @@ examples:
   identify_many --list runs.csv --columns time:s,displacement:mm,force:N --output results/runs
 
 Exit code: 0: success; {LEFT_OUT}: a file was not used or a damper not identified, all other results
-are written; {console.FAILED}: an option cannot be used; {console.INTERRUPTED}: Ctrl-C.
+are written; {FAILED}: an option cannot be used; {INTERRUPTED}: Ctrl-C.
 """
 
 

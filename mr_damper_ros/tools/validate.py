@@ -25,4 +25,4 @@ def _validate(options: argparse.Namespace) -> int:
     return 0
 
 
-main = console.program(__name__, __doc__, _options, _validate)
+main = console.program("mr-damper validate", __doc__, _options, _validate)

@@ -163,4 +163,4 @@ def _watch(options: argparse.Namespace) -> int:
                 print("\x1b[?25h", end="", flush=True)
 
 
-main = program(__name__, __doc__, _options, _watch)
+main = program("mr-damper watch", __doc__, _options, _watch)

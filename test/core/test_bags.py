@@ -188,7 +188,7 @@ def test_what_is_no_bag_is_said_to_be_none(tmp_path: Path) -> None:
     (tmp_path / "run.txt").write_text("0 1 2")
     assert "there is no bag at" in refused(tmp_path / "missing")
     assert "give the folder that holds metadata.yaml" in refused(tmp_path)
-    assert "import_record makes a bag" in refused(tmp_path / "run.txt")
+    assert "mr-damper import makes a bag" in refused(tmp_path / "run.txt")
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from mr_damper_ros.campaign.runs import RunNotFoundError, cut_run
 from mr_damper_ros.estimation.experiment_design import ForceGoal, MachineLimits, PlannedRun
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tools import plan_run
+from mr_damper_ros.tools import plan
 
 
 class KilledError(BaseException):
@@ -189,7 +189,7 @@ def test_a_folder_without_a_campaign_has_no_report(tmp_path: Path) -> None:
 
 
 def told(capsys: pytest.CaptureFixture[str], *arguments: object, code: int = 0) -> str:
-    assert plan_run.main(["--keep", *(str(word) for word in arguments)]) == code
+    assert plan.main(["--keep", *(str(word) for word in arguments)]) == code
     return capsys.readouterr().out
 
 
@@ -198,7 +198,7 @@ def test_by_hand_call_by_call(
 ) -> None:
     plan_quickly(monkeypatch, ForceGoal(0.06, (0.02, 0.2), (0.0, 1.5)))
     reported: list[tuple[Path, str]] = []
-    monkeypatch.setattr(plan_run, "write_campaign_report", lambda *given: reported.append(given))
+    monkeypatch.setattr(plan, "write_campaign_report", lambda *given: reported.append(given))
     folder, bags = tmp_path / "campaign", tmp_path / "bags"
     said = told(capsys, folder, *ASKED)
     assert f"run 1: {RUNS[0].sentence}" in said
@@ -233,5 +233,5 @@ def test_the_amplitude_of_another_motion_is_told_right() -> None:
 
 
 def test_a_new_campaign_needs_a_goal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert plan_run.main(["--keep", str(tmp_path / "new")]) == 2
+    assert plan.main(["--keep", str(tmp_path / "new")]) == 2
     assert "a new campaign needs --velocity, --current" in capsys.readouterr().err

@@ -67,7 +67,7 @@ def test_one_whose_parent_has_died_before_ends_at_once() -> None:
     command = child_command(pool_tasks.told)
     nobody = [str(os.getpid() + 1) if part == str(os.getpid()) else part for part in command]
     done = subprocess.run(nobody, capture_output=True, timeout=PATIENCE, check=False)
-    assert (done.returncode, done.stdout) == (1, b"")
+    assert (done.returncode, done.stdout) == (-signal.SIGKILL, b"")
 
 
 # -- programs as processes: output, end by signal or force, separate domains -----------------------

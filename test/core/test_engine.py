@@ -14,7 +14,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.worker import Done, Failed, InlineWorker
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import CurrentReading, TemperatureReading, stream_of
-from mr_damper_ros.tools import replay_recording
+from mr_damper_ros.tools import replay
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from mr_damper_ros.tracking.tracker import TrackerSettings
@@ -84,7 +84,7 @@ def test_a_result_prints_and_draws(capsys: pytest.CaptureFixture[str]) -> None:
     assert "accepted" in said._repr_html_()
     assert said.document()["reports"][0]["verdict"] == "ACCEPTED"
     assert len(said.plot().axes) == 3
-    assert replay_recording.main(["nowhere", "--plot", "replay.xyz"]) == 2
+    assert replay.main(["nowhere", "--plot", "replay.xyz"]) == 2
     assert "replay.xyz must end in .png, .svg, .pdf" in capsys.readouterr().err
     with pytest.raises(ValueError, match="a recording cannot be of type dict"):
         mr.replay({})  # type: ignore[arg-type]

@@ -19,8 +19,8 @@ from waiting import until
 
 from mr_damper_ros.live.live_record import HISTORY, Concern, LiveRecord, _joined_ranges
 from mr_damper_ros.live.page_server import PAGE, PageServer
-from mr_damper_ros.tools import live_bag, watch
-from mr_damper_ros.tools.live_bag import empty_record, replay_into
+from mr_damper_ros.tools import live, watch
+from mr_damper_ros.tools.live import empty_record, replay_into
 
 SECONDS = 12
 
@@ -384,8 +384,8 @@ def test_a_recording_is_opened_on_the_page(browser: Browser) -> None:
 @pytest.mark.parametrize(
     ("main", "arguments", "sentence"),
     [
-        (live_bag.main, ["--bag", "none", "--port", "0"], "live: there is no bag at none"),
-        (live_bag.main, ["--bag", "none", "--port", "65536"], "'65536' is not a port"),
+        (live.main, ["--bag", "none", "--port", "0"], "mr-damper live: there is no bag at none"),
+        (live.main, ["--bag", "none", "--port", "65536"], "'65536' is not a port"),
         (watch.main, ["--namespace", "a b"], "'a b' is not a namespace such as /rig1"),
     ],
 )

@@ -23,12 +23,12 @@ def test_what_a_source_alone_needs_is_loaded_when_it_is_opened() -> None:
     assert not loaded & {"rosbags", "csv", "serial", "mr_damper_ros.io.records"}
 
 
-@pytest.mark.parametrize("name", ["check_rig", "watch"])
+@pytest.mark.parametrize("name", ["check", "live", "watch"])
 def test_a_tool_that_needs_ros_says_so_where_it_is_missing(name: str) -> None:
     said = alone(
         "import sys; from contextlib import redirect_stderr; sys.modules['rclpy'] = None; "
-        f"sys.argv = [{name!r}]; from mr_damper_ros.entry_points import tool\n"
-        f"with redirect_stderr(sys.stdout): code = tool({name!r})\n"
+        "from mr_damper_ros.__main__ import main\n"
+        f"with redirect_stderr(sys.stdout): code = main([{name!r}])\n"
         "print(code)"
     )
     sentence, code = said.splitlines()

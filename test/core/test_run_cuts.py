@@ -14,7 +14,7 @@ from mr_damper_ros.io.columns import RecordError
 from mr_damper_ros.io.records import RunsOfFile, read_runs
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tools import import_record
+from mr_damper_ros.tools import import_
 
 RATE = 200.0
 
@@ -109,7 +109,7 @@ def two_runs(tmp_path: Path) -> Path:
 
 def imported(path: Path, *arguments: str) -> int:
     output = str(path.parent / "bags")
-    return import_record.main([str(path), "--columns", COLUMNS, "--output", output, *arguments])
+    return import_.main([str(path), "--columns", COLUMNS, "--output", output, *arguments])
 
 
 def test_each_run_is_asked_for_its_current(two_runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,7 +27,7 @@ from mr_damper_ros.estimation.experiment_design import (
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tools import plan_run
+from mr_damper_ros.tools import plan
 
 GOAL = ForceGoal(0.06, (0.02, 0.2), (0.0, 1.5), speeds=3, currents=4)
 LIMITS = MachineLimits(0.01, 0.2, 5000.0, 1.5, 2.0, sample_rate=500.0)
@@ -233,7 +233,7 @@ PROGRAM = [
 def test_the_program_names_the_first_run_and_writes_its_signal(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert plan_run.main([*PROGRAM, "--signal", str(tmp_path / "run.csv")]) == 0
+    assert plan.main([*PROGRAM, "--signal", str(tmp_path / "run.csv")]) == 0
     assert "mm at" in capsys.readouterr().out
     assert (tmp_path / "run.csv").read_text().startswith("time:s,displacement:m,current:A\n")
 
@@ -243,18 +243,18 @@ def test_the_program_goes_on_from_bags(tmp_path: Path, capsys: pytest.CaptureFix
         mr.write_bag(tmp_path / f"run{place}", perform(replace(run, currents=run.currents[:1])))
     bags = [str(path) for path in sorted(tmp_path.iterdir())]
     output = tmp_path / "plan.json"
-    assert plan_run.main([*bags, *PROGRAM, "--json", str(output)]) == 0
+    assert plan.main([*bags, *PROGRAM, "--json", str(output)]) == 0
     assert "the force is known to" in capsys.readouterr().out
-    plan = json.loads(output.read_text())
-    assert plan["state"] == "run"
-    assert math.isfinite(plan["worst_error"])
-    assert plan["run"]["amplitude"] <= 0.01
+    document = json.loads(output.read_text())
+    assert document["state"] == "run"
+    assert math.isfinite(document["worst_error"])
+    assert document["run"]["amplitude"] <= 0.01
 
 
 def test_the_program_says_when_a_goal_is_out_of_reach(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mr.write_bag(tmp_path / "run", perform(RUNS[0]))
-    code = plan_run.main([str(tmp_path / "run"), *PROGRAM, "--top-current", "1"])
-    assert code == plan_run.OUT_OF_REACH
+    code = plan.main([str(tmp_path / "run"), *PROGRAM, "--top-current", "1"])
+    assert code == plan.OUT_OF_REACH
     assert "the supply reaches only 1 A" in capsys.readouterr().out

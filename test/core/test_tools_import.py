@@ -16,7 +16,7 @@ from scipy.io import savemat
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.columns import UNITS, ColumnError, parse_columns
 from mr_damper_ros.io.records import read_record, read_runs
-from mr_damper_ros.tools import check_rig, import_record, watch
+from mr_damper_ros.tools import check, import_, watch
 from mr_damper_ros.tools.console import program
 
 COLUMNS = "time:s,displacement:mm,force:N"
@@ -371,9 +371,7 @@ def test_a_file_becomes_a_bag_and_its_ranges_are_shown(
     write: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, bag = write(rows()), tmp_path / "bags" / "run"
-    code = import_record.main(
-        [str(path), "--columns", COLUMNS, "--current", "0.5", "--output", str(bag)]
-    )
+    code = import_.main([str(path), "--columns", COLUMNS, "--current", "0.5", "--output", str(bag)])
     assert code == 0
     shown = capsys.readouterr().out
     assert "40 samples, 10 ms apart (100 Hz), 0.4 s" in shown
@@ -400,9 +398,9 @@ def test_a_failure_is_one_sentence_and_leaves_no_bag(
 ) -> None:
     path = write(rows())
     filled = [a.format(path=path, folder=tmp_path) for a in arguments]
-    assert import_record.main([*filled, "--output", str(tmp_path / "bag")]) == 2
+    assert import_.main([*filled, "--output", str(tmp_path / "bag")]) == 2
     error = capsys.readouterr().err
-    assert error.startswith("import_record: ")
+    assert error.startswith("mr-damper import: ")
     assert sentence in error
     assert error.count("\n") == 1
     assert not (tmp_path / "bag").exists()
@@ -427,7 +425,7 @@ def test_expected_failures_have_exit_codes(
     assert capsys.readouterr().err.strip().startswith("tool: ")
 
 
-@pytest.mark.parametrize("tool", [check_rig, watch])
+@pytest.mark.parametrize("tool", [check, watch])
 def test_without_ros_a_program_that_needs_it_says_so(
     tool: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

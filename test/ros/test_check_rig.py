@@ -14,7 +14,7 @@ STEPS = {"emulated__excitation": "steps", "emulated__sweep_time": 8.0, "wait_for
 
 def check(seconds: float) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [installed_programs() / "check_rig", "--seconds", str(seconds)],
+        [installed_programs() / "mr-damper", "check", "--seconds", str(seconds)],
         capture_output=True,
         text=True,
         timeout=seconds + 2.0 * PATIENCE,

@@ -45,11 +45,6 @@ OVERRIDE = "qos_overrides./mts/samples.subscription"
 
 ARGUMENTS = [
     ("bridge", ["--rate=2"], "--rate"),
-    ("identifier", ["--namespace"], "the name is ''"),
-    ("identifier", ["--namespace", "left", "--namespace", "left"], "left is given twice"),
-    ("identifier", ["--namespace", "left=/nowhere.yaml"], "/nowhere.yaml"),
-    ("identifier", ["--workers", "none"], "--workers: the number is 'none'"),
-    ("model", ["--workers", "2"], "unknown argument --workers"),
     ("model", ["--ros-args", "-p", f"{OVERRIDE}.reliability:=foo"], "must be one of reliable"),
     ("model", ["--ros-args", "-p", f"{OVERRIDE}.durability:=volatile"], "is not an override"),
 ]

@@ -27,7 +27,7 @@ from mr_damper_ros.nodes.quality import OVERRIDES, objection
 from mr_damper_ros.nodes.replay_node import ReplayParameters
 from mr_damper_ros.nodes.supply_node import SupplyParameters
 from mr_damper_ros.nodes.suspension_node import SuspensionParameters
-from mr_damper_ros.processes.programs import Program, hosting
+from mr_damper_ros.processes.programs import Program
 from mr_damper_ros.settings.option_table import options
 
 ROOT = Path(__file__).parents[2]
@@ -57,16 +57,13 @@ def commands(page: Path) -> list[str]:
     shell = "".join(re.findall(r"```bash\n(.*?)```", text, re.DOTALL))
     text = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
     for block in re.findall(r"\n\n((?: {4}.*\n)+)", text):
-        if re.match(r" {4}(ros2|make|export|cd|\.) ", block):
+        if re.match(r" {4}(ros2|mr-damper|make|export|cd|\.) ", block):
             shell += re.sub(r"^ {4}", "", block, flags=re.MULTILINE)
     lines = shell.replace("\\\n", " ").splitlines()
     return [line.partition(" # ")[0].strip() for line in lines if line.strip()]
 
 
 ALL = [(page, line) for page in PAGES for line in commands(page)]
-
-HOSTED = ("identifier", "model")
-"""Programs that can run a node in each of several namespaces."""
 
 
 def check_path(path: str) -> None:
@@ -77,10 +74,6 @@ def check_path(path: str) -> None:
 
 def check_node(node: str, arguments: list[str]) -> None:
     known = {item.name: item for item in options(TABLES[node])}
-    if node in HOSTED:
-        arguments = list(hosting(arguments).rest)
-    if arguments[:1] == ["--bag"] and node == "live":
-        arguments = arguments[2:]
     assert arguments[:1] in ([], ["--ros-args"])
     for flag, value in zip(arguments[1::2], arguments[2::2], strict=True):
         assert flag in ("-p", "-r", "--params-file", "--enclave"), flag
@@ -97,17 +90,16 @@ def check_node(node: str, arguments: list[str]) -> None:
 
 
 @cache
-def help_of(tool: str) -> str:
-    done = subprocess.run(
-        [installed_programs() / tool, "--help"], capture_output=True, text=True, check=True
-    )
+def help_of(command: str) -> str:
+    program = installed_programs() / "mr-damper"
+    done = subprocess.run([program, command, "--help"], capture_output=True, text=True, check=True)
     return done.stdout
 
 
-def check_tool(tool: str, arguments: list[str]) -> None:
+def check_command(command: str, arguments: list[str]) -> None:
     for word in arguments:
         if word.startswith("--"):
-            assert word in help_of(tool), f"{tool} has no option {word}"
+            assert word in help_of(command), f"{command} has no option {word}"
         check_path(word)
 
 
@@ -128,11 +120,15 @@ def test_what_a_command_names_exists(
     if first == "make":
         targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
         assert rest[0] in targets
+    elif first == "mr-damper":
+        check_command(rest[0], rest[1:])
     elif first != "ros2":
         assert first in OTHERS or "=" in first, f"{page.name}: {line}"
     elif rest[:2] == ["run", "mr_damper_ros"]:
-        check = check_node if rest[2] in TABLES else check_tool
-        check(rest[2], rest[3:])
+        if rest[2] == "mr-damper":
+            check_command(rest[3], rest[4:])
+        else:
+            check_node(rest[2], rest[3:])
     elif rest[:2] == ["launch", "mr_damper_ros"]:
         check_launch(rest[2], rest[3:], monkeypatch)
     elif rest[:2] == ["bag", "play"]:

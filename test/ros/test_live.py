@@ -26,7 +26,7 @@ from mr_damper_ros.nodes.live_node import LiveNode
 from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
 from mr_damper_ros.processes.programs import node_arguments
 from mr_damper_ros.signals.blocks import SILENCE
-from mr_damper_ros.tools.live_bag import empty_record, replay_into
+from mr_damper_ros.tools.live import empty_record, replay_into
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 

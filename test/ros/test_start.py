@@ -1,7 +1,6 @@
 """Start of a node's program: messages for missing parts, and a closed output."""
 
 import os
-import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -10,11 +9,16 @@ from typing import Any
 import pytest
 from support import assert_one_sentence, installed_programs
 
-NODES = ("bridge", "controller", "identifier", "live", "model", "replay")
 SOME = ("bridge", "live")
-"""Two programs represent all, since the code is the same."""
+"""Two nodes represent all, since the code is the same."""
 
-TOOLS = ("demo", "identify", "import_record", "validate")
+PROGRAMS = {
+    "campaign": ("campaign",),
+    "identifier": ("identifier",),
+    "identify": ("mr-damper", "identify"),
+    "plan": ("mr-damper", "plan"),
+}
+"""A program and its command."""
 
 WITHOUT = """
 import sys
@@ -30,34 +34,43 @@ INTERRUPTED = """
 import os
 import signal
 import sys
+from importlib.abc import MetaPathFinder
 
-signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
-os.kill(os.getpid(), signal.SIGINT)
-from mr_damper_ros.entry_points import tool
+from mr_damper_ros import __main__, entry_points
 
-sys.exit(tool("identify"))
+
+class Interrupting(MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name == {module!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+sys.meta_path.insert(0, Interrupting())
+sys.exit({call})
 """
-"""A tool that is interrupted by Ctrl-C during its imports."""
+"""A program that is interrupted by Ctrl-C while it loads a module."""
 
 
-def test_a_tool_that_is_interrupted_while_it_loads_says_so_and_no_more() -> None:
+@pytest.mark.parametrize(
+    ("module", "call", "code", "said"),
+    [
+        ("rclpy", "entry_points.bridge()", 0, ""),
+        (
+            "mr_damper_ros.api.identification",
+            "__main__.main(['identify'])",
+            130,
+            "\nmr-damper identify: stopped by Ctrl-C\n",
+        ),
+    ],
+)
+def test_a_program_that_is_interrupted_while_it_loads_ends_without_a_traceback(
+    module: str, call: str, code: int, said: str
+) -> None:
+    program = INTERRUPTED.format(module=module, call=call)
     done = subprocess.run(
-        [sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
     )
-    assert done.returncode == 130
-    assert done.stderr == "\nidentify: stopped by Ctrl-C\n"
-
-
-@pytest.mark.parametrize("program", NODES + TOOLS)
-def test_signals_are_held_back_from_the_first_moment(program: str) -> None:
-    first_line = (installed_programs() / program).read_text(encoding="utf-8").splitlines()[0]
-    assert first_line == f"#!/usr/bin/env -S --block-signal=INT,TERM {sys.executable}"
-
-
-@pytest.mark.parametrize("program", NODES + TOOLS)
-def test_a_process_that_a_program_starts_does_not_run_it_again(program: str) -> None:
-    # multiprocessing imports the program in this way in a new process.
-    runpy.run_path(str(installed_programs() / program), run_name="__mp_main__")
+    assert (done.returncode, done.stderr) == (code, said)
 
 
 @pytest.mark.parametrize("node", SOME)
@@ -76,7 +89,7 @@ def test_a_missing_package_is_one_sentence_with_the_cure(
     assert cure in done.stderr
 
 
-@pytest.mark.parametrize("program", ["campaign", "identifier", "identify", "plan_run"])
+@pytest.mark.parametrize("program", PROGRAMS)
 def test_a_package_that_an_import_at_any_depth_lacks_is_one_sentence(
     program: str, tmp_path: Path
 ) -> None:
@@ -85,7 +98,7 @@ def test_a_package_that_an_import_at_any_depth_lacks_is_one_sentence(
     (tmp_path / "scipy.py").write_text(lacking, encoding="utf-8")
     paths = f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
     done = subprocess.run(
-        [installed_programs() / program],
+        [installed_programs() / PROGRAMS[program][0], *PROGRAMS[program][1:]],
         env={**os.environ, "PYTHONPATH": paths},
         capture_output=True,
         text=True,
@@ -94,7 +107,8 @@ def test_a_package_that_an_import_at_any_depth_lacks_is_one_sentence(
     )
     assert done.returncode == 2
     last = done.stderr.splitlines()[-1]
-    assert last.startswith(f"{program}: the Python package scipy is missing: ")
+    name = " ".join(PROGRAMS[program])
+    assert last.startswith(f"{name}: the Python package scipy is missing: ")
     assert "Traceback" not in done.stderr
 
 

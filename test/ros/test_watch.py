@@ -30,7 +30,7 @@ def nrmse_in(picture: Path) -> float:
 
 
 def tool(name: str, *arguments: str) -> Program:
-    return Program([str(installed_programs() / name), *arguments])
+    return Program([str(installed_programs() / "mr-damper"), name, *arguments])
 
 
 def test_watch_prints_how_the_system_stands(start: Any) -> None:

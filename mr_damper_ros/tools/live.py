@@ -1,7 +1,7 @@
-"""Show a recording on the live page until Ctrl-C, with the results of identifier and model.
+"""Show the running system on a page until Ctrl-C, as the node live does.
 
-They start from the set in use at the beginning of the recording. Without --bag, the node live shows
-the running system.
+With --bag: show a recording, with the results of identifier and model. They start from the set in
+use at the beginning of the recording.
 """
 
 from __future__ import annotations
@@ -18,9 +18,15 @@ from mr_damper_ros.io.bag_reader import OpenBag, bag_stream, opened_bag, stamp_o
 from mr_damper_ros.live.live_record import LiveRecord
 from mr_damper_ros.live.page_server import PageServer
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.processes.programs import node_arguments
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import CurrentReading, StreamItem
-from mr_damper_ros.tools.console import add_path, add_port_option, program
+from mr_damper_ros.tools.console import (
+    add_namespace_option,
+    add_path,
+    add_port_option,
+    program,
+)
 from mr_damper_ros.tracking.engine import Engine
 from mr_damper_ros.tracking.state_directory import read_parameter_file
 from mr_damper_ros.tracking.validity import DoubtKind
@@ -103,12 +109,24 @@ def _set_points(bag: OpenBag) -> list[tuple[int, str, float]]:
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    add_path(parser, "--bag", "FILE", "the recording", required=True)
-    add_path(parser, "--parameters", "FILE", "parameter set to start from instead")
+    add_path(parser, "--bag", "FILE", "the recording; without it, the running system is shown")
+    add_path(parser, "--parameters", "FILE", "with --bag: parameter set to start from instead")
+    add_namespace_option(parser)
     add_port_option(parser)
 
 
-def _serve(options: argparse.Namespace) -> int:
+def _show(options: argparse.Namespace) -> int:
+    if options.bag is not None:
+        return _show_bag(options)
+    if options.parameters is not None:
+        raise ValueError("--parameters is for a recording: give it with --bag, or omit it")
+    from mr_damper_ros.nodes.live_node import main as run_node
+
+    namespace = f"/{options.namespace.strip('/')}"
+    return run_node(["live", *node_arguments({"port": options.port}, {"__ns": namespace})])
+
+
+def _show_bag(options: argparse.Namespace) -> int:
     start = None if options.parameters is None else read_parameter_file(options.parameters)
     record = empty_record(options.bag)
     with closing(PageServer(record, "127.0.0.1", options.port)) as server:
@@ -119,4 +137,4 @@ def _serve(options: argparse.Namespace) -> int:
     return 0
 
 
-main = program("live", __doc__, _options, _serve)
+main = program("mr-damper live", __doc__, _options, _show)

@@ -32,5 +32,5 @@ def _check(options: argparse.Namespace) -> int:
     return 1 if check.findings else 0
 
 
-main = program(__name__, __doc__, _options, _check)
+main = program("mr-damper check", __doc__, _options, _check)
 """Check the rig; returns 1 if the signals have a fault."""

@@ -50,4 +50,4 @@ def _replay(options: argparse.Namespace) -> int:
     return 0
 
 
-main = program(__name__, __doc__, _options, _replay)
+main = program("mr-damper replay", __doc__, _options, _replay)

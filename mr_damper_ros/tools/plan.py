@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict
-from typing import Any
 
 from mr_damper_ros.campaign.course import (
     CampaignCourse,
@@ -36,24 +35,28 @@ from mr_damper_ros.io.recording_list import find_recordings
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
-from mr_damper_ros.settings.option_table import options as table_options
+from mr_damper_ros.processes.exits import FAILED
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tools.console import FAILED, add_json_option, add_path, program, write_json
+from mr_damper_ros.tools.console import (
+    add_arguments,
+    add_json_option,
+    add_path,
+    program,
+    write_json,
+)
 
 OUT_OF_REACH = 3
 """Exit code if the goal cannot be reached within the limits of the machine."""
 
-_NEEDED = ("velocity", "current", "amplitude", "force")
-
-_GOAL = {"error": "error", "velocity": "lowest_peak_velocity", "current": "lowest_current"}
-_MACHINE = {
-    **{name: name for name in ("amplitude", "force", "duration", "heat")},
-    "top_velocity": "peak_velocity",
-    "top_current": "current",
-    "frequency": "lowest_frequency",
-    "rate": "sample_rate",
+_NEEDED = {
+    "peak_velocity": "--velocity",
+    "current": "--current",
+    "amplitude": "--amplitude",
+    "force": "--force",
 }
-"""Options of the tables, by argument; the lowest of a range stands for the range."""
+"""Options of the tables that a plan needs; a campaign has them in its folder."""
+
+_MACHINE = ("amplitude", "force", "duration", "heat", "frequency", "sample_rate")
 
 _EPILOG = f"""\
 With --keep, the folder holds a campaign. The first call needs the goal and the limits of the
@@ -63,9 +66,9 @@ contains campaign.html (the report), set.yaml (the last set), signals/ (the runs
 steps/.
 
 examples:
-  plan_run --velocity 0.02 0.2 --current 0 1.5 --amplitude 0.01 --force 5000 bags/today
-  plan_run --keep damper_7 --velocity 0.02 0.2 --current 0 1.5 --amplitude 0.01 --force 5000
-  plan_run --keep damper_7 bags/today
+  mr-damper plan --velocity 0.02 0.2 --current 0 1.5 --amplitude 0.01 --force 5000 bags/today
+  mr-damper plan --keep damper_7 --velocity 0.02 0.2 --current 0 1.5 --amplitude 0.01 --force 5000
+  mr-damper plan --keep damper_7 bags/today
 
 Exit code: 0: success; {OUT_OF_REACH}: the goal cannot be met within the limits;
 {FAILED}: a bag or an option cannot be used.
@@ -85,9 +88,14 @@ def _options(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="largest number of runs of a campaign (default %(default)s)",
     )
-    _add_options(parser.add_argument_group("goal"), GoalOptions, _GOAL)
-    machine = parser.add_argument_group("machine")
-    _add_options(machine, MachineOptions, _MACHINE)
+    goal, machine = parser.add_argument_group("goal"), parser.add_argument_group("machine")
+    flags, needed = {**_NEEDED, "sample_rate": "--rate"}, tuple(_NEEDED)
+    add_arguments(goal, GoalOptions, ("error", "peak_velocity", "current"), None, flags, needed)
+    add_arguments(machine, MachineOptions, _MACHINE, None, flags, needed)
+    speed = "Largest peak velocity [m/s] of the machine. Default: that of the goal."
+    machine.add_argument("--top-velocity", type=float, metavar="m/s", help=speed)
+    current = "Largest current [A] of the machine. Default: that of the goal."
+    machine.add_argument("--top-current", type=float, metavar="A", help=current)
     machine.add_argument(
         "--motions",
         nargs="+",
@@ -103,27 +111,9 @@ def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", choices=tuple(MODELS), default=DEFAULT_MODEL, help="force law")
 
 
-def _add_options(group: argparse._ArgumentGroup, table: type, names: Mapping[str, str]) -> None:
-    """Add an argument for each of these options of a table, or for a range of options."""
-    known = {item.name: item for item in table_options(table)}
-    for name, key in names.items():
-        text = known[key].description.rstrip(".").replace("Lowest", "Lowest and highest")
-        given: dict[str, Any] = {"metavar": name.rpartition("_")[2].upper()}
-        default: Any = known[key].default
-        if key.startswith("lowest_"):
-            default = [default, known[key.replace("lowest", "highest")].default]
-            given = {"metavar": ("LOW", "HIGH"), "nargs": 2}
-        if name.startswith("top_"):
-            text += " (default: the value of the goal)"
-        elif name not in _NEEDED:
-            text += " (default %(default)s)"
-            given["default"] = default
-        group.add_argument(f"--{name.replace('_', '-')}", type=float, help=text, **given)
-
-
 def _task(options: argparse.Namespace) -> CampaignTask:
     """The goal, the limits of the machine and the law given by the options. Raises ValueError."""
-    goal = ForceGoal(options.error, tuple(options.velocity), tuple(options.current))
+    goal = ForceGoal(options.error, tuple(options.peak_velocity), tuple(options.current))
     top_velocity, top_current = options.top_velocity, options.top_current
     limits = MachineLimits(
         amplitude=options.amplitude,
@@ -133,7 +123,7 @@ def _task(options: argparse.Namespace) -> CampaignTask:
         duration=options.duration,
         heat=options.heat or math.inf,
         frequency=tuple(options.frequency),
-        sample_rate=options.rate,
+        sample_rate=options.sample_rate,
         steps=not options.manual,
         motions=(MotionKind.SINE,) if options.manual else tuple(options.motions),
     )
@@ -141,7 +131,7 @@ def _task(options: argparse.Namespace) -> CampaignTask:
 
 
 def _plan(options: argparse.Namespace) -> int:
-    missing = [f"--{name}" for name in _NEEDED if getattr(options, name) is None]
+    missing = [flag for name, flag in _NEEDED.items() if getattr(options, name) is None]
     if options.keep is not None:
         if options.signal is not None or options.json is not None:
             raise ValueError("--signal and --json are for a single plan: omit them with --keep")
@@ -242,4 +232,4 @@ def _add_recording(course: CampaignCourse, run: PlannedRun, recording: Recording
         print(f"run {course.number} is rejected: {refusal}")
 
 
-main = program(__name__, __doc__, _options, _plan, _EPILOG)
+main = program("mr-damper plan", __doc__, _options, _plan, _EPILOG)

@@ -24,14 +24,14 @@ is integrated.
 {chr(10).join(f"  {name:<13} {', '.join(units)}" for name, units in UNITS.items())}
 
 examples:
-  import_record run.txt --columns time:s,displacement:mm,velocity:mm/s,force:N --current 0.5 \\
+  mr-damper import run.txt --columns time:s,displacement:mm,velocity:mm/s,force:N --current 0.5 \\
       --output bags/run
-  import_record run.csv --columns "time=Time:s,displacement=Stroke:mm,force=Load:kN,current=I:A" \\
-      --output bags/run
-  import_record logger.txt --columns -,time:datetime,force:980.665*N,displacement:10*mm \\
+  mr-damper import run.csv --output bags/run \\
+      --columns "time=Time:s,displacement=Stroke:mm,force=Load:kN,current=I:A"
+  mr-damper import logger.txt --columns -,time:datetime,force:980.665*N,displacement:10*mm \\
       --split --currents 0,0.25,0.5,0.75,1 --output bags/logger
-  import_record quake.mat --variable data --columns displacement:mm,-,force:N,... --period 0.001 \\
-      --current 0.6 --output bags/quake
+  mr-damper import quake.mat --variable data --columns displacement:mm,-,force:N,... \\
+      --period 0.001 --current 0.6 --output bags/quake
 """
 
 _OPTIONS = (
@@ -138,4 +138,4 @@ def _range(name: str, values: Array, unit: str) -> str:
     return f"  {name:<13} {shown} {unit}"
 
 
-main = program(__name__, __doc__, _options, _import, _EPILOG)
+main = program("mr-damper import", __doc__, _options, _import, _EPILOG)
