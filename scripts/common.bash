@@ -76,7 +76,7 @@ find_python() {
 pip_install() {
   local venv=$1 log=$1/pip.log
   shift
-  if "$venv/bin/python" -m pip install --disable-pip-version-check --no-input --retries 2 \
+  if "$venv/bin/python" -m pip install --no-compile --disable-pip-version-check --no-input --retries 2 \
     "$@" >>"$log" 2>&1; then
     return
   fi
