@@ -51,7 +51,6 @@ _WORDS = ("", "x", "\ud800", "a\nb", "ä", "\0", "x" * 5000, "../x", "nan", "1e9
 _COUNTS = (-1, 0, 1, 2**31, 2**31 * 10**9, 2**63, -(2**63), 10**40)
 _SETTINGS = {
     "window": TrackerSettings(method="least_squares"),
-    "recursive": TrackerSettings(method="least_squares", tracker="recursive"),
     "bingham": TrackerSettings(method="least_squares", model="bingham"),
 }
 
@@ -172,7 +171,7 @@ def _poisoned(chance: random.Random, good: bytes) -> tuple[bytes, bool]:
         # Line ends of other systems are the same lines.
         lines = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
         return data, b"sha256" in lines.partition(b"\n")[0] and lines != good
-    body = good.partition(b"\n")[2]
+    first_line, _, body = good.partition(b"\n")
     if how == 1:
         body = spoilt(chance, body)
     else:
@@ -189,10 +188,8 @@ def _poisoned(chance: random.Random, good: bytes) -> tuple[bytes, bool]:
                 _spoil_entry(chance, document)
             memory = json.dumps(document) + "\n"
         body = f"{text}{mark}{memory}".encode()
-    version = 2 if b"\n# memory " in body else 1
-    digest = hashlib.sha256(body).hexdigest()
-    head = f"# mr_damper_ros parameters, version {version}, sha256 {digest}\n"
-    return head.encode() + body, False
+    head = first_line.rpartition(b" ")[0]
+    return b"%s %s\n%s" % (head, hashlib.sha256(body).hexdigest().encode(), body), False
 
 
 def _spoil_entry(chance: random.Random, document: Any) -> None:

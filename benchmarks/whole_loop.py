@@ -187,7 +187,7 @@ DAMPERS: dict[str, Callable[[], Damper]] = {
 }
 """Runs under a switched current; the identifier uses its default law, sigmoid."""
 
-_OF_WINDOWS = ("nelder_mead", "least_squares", "force_scale", "recursive", "unscented", "")
+_OF_WINDOWS = ("nelder_mead", "least_squares", "force_scale", "")
 """Methods of reports on single windows; the other methods search in all windows."""
 
 

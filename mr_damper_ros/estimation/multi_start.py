@@ -215,10 +215,8 @@ def _from_document(document: dict[str, Any], levels: LevelPrior | None) -> Globa
     count, cost = document["counted_samples"], document["cost"]
     if levels is not None:
         levels = replace(levels, counted_samples=math.inf if count is None else float(count))
-    # Older records have neither discrepancy nor spread.
-    fields: dict[str, Any] = {"discrepancy": np.full(np.shape(document["covariance"]), math.nan)}
-    fields |= {name: document[name] for name in _FIELDS if name in document}
-    fields |= {name: np.array(fields[name], dtype=float) for name in _ARRAYS if name in fields}
+    fields: dict[str, Any] = {name: document[name] for name in _FIELDS}
+    fields |= {name: np.array(fields[name], dtype=float) for name in _ARRAYS}
     fields["cost"] = math.nan if cost is None else float(cost)
     fields["candidates"] = tuple(
         Candidate(**each | {"parameters": np.array(each["parameters"])})

@@ -279,7 +279,7 @@ def _usual_change(running: WindowProblem, fastest: float) -> Array:
     return np.asarray(np.min(changes, axis=0))
 
 
-def contradicting(count: int) -> float:
+def _contradicting(count: int) -> float:
     """Sum of squares of ``count`` standard normal variables that contradicts their prior."""
     from scipy.special import chdtri  # late: see mr_damper_ros.entry_points
 
@@ -301,7 +301,7 @@ def _with_prior(
     deviation of the unknowns. The weight of the samples follows from the residual of their best
     fit, so ``without`` is at the minimum without the prior.
     """
-    most = contradicting(width.size)
+    most = _contradicting(width.size)
     at_best = float(np.linalg.norm(running.residual(without.best)))
     noise, of_samples = _noise(running, without.best, phases)
     for _ in range(_MOST_DOUBLINGS):

@@ -82,8 +82,8 @@ class IdentifierParameters(ParameterTable):
         'Folder for parameter sets; "": none. It holds the state under the name of the node '
         "(the set in use, baselines, reservoir, residual baseline), which is loaded at the "
         "next start, and the sets of the services ~/save_parameters and ~/load_parameters, "
-        "which take plain names, not paths. A file that is damaged, of another law, of a "
-        "newer version or not plausible for a damper is never used: it is renamed and "
+        "which take plain names, not paths. A file that is damaged, of another law, of another "
+        "version of the format or not plausible for a damper is never used: it is renamed and "
         "reported in the diagnostics until the service ~/acknowledge is called. Only one node "
         "at a time may use a folder and node name.",
     )

@@ -184,8 +184,6 @@ def parameter_set(message: DamperParameters) -> ParameterSet:
             "in this order"
         )
     arrays: dict[str, Any] = {name: np.array(getattr(message, name)) for name in _ARRAYS_OF_A_SET}
-    if not arrays["discrepancies"].size:  # a message of an older sender
-        arrays["discrepancies"] = np.full(len(law.parameter_names), np.nan)
     held = message.held_velocity_min, message.held_velocity_max
     return ParameterSet(
         set_id=message.id,

@@ -172,11 +172,6 @@ class SuspensionState(NamedTuple):
         """Extension velocity of the damper [m/s]."""
         return self.body - self.wheel
 
-    @property
-    def apart(self) -> float:
-        """Earlier name of ``stroke`` [m], for controllers that users have written."""
-        return self.stroke
-
 
 @dataclass(frozen=True, eq=False)
 class RigBlock:

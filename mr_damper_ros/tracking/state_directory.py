@@ -13,8 +13,8 @@ from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, Use
 from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.processes.files import FolderLock, LockHeldError, write_text
 
-_WITH_MEMORY = 2
-"""Version of a file with the memory of its tracker; a file with a set alone has the version 1."""
+_FORMAT = 3
+"""Version of the format of the files; no other is read."""
 
 _HEADER = re.compile(r"# mr_damper_ros parameters, version ([1-9]\d{0,8}), sha256 ([0-9a-f]{64})\n")
 
@@ -77,10 +77,10 @@ class StateDirectory:
             check_plausible(parameters)
         except ParameterError as error:
             raise StateError(f"{parameters.set_id} is not stored: {error}") from error
-        version, body = _WITH_MEMORY - 1, parameters.to_yaml()
+        body = parameters.to_yaml()
         if memory:
-            version, body = _WITH_MEMORY, f"{body.rstrip()}{_MEMORY_LINE}{memory}\n"
-        text = f"# mr_damper_ros parameters, version {version}, sha256 {_digest(body)}\n{body}"
+            body = f"{body.rstrip()}{_MEMORY_LINE}{memory}\n"
+        text = f"# mr_damper_ros parameters, version {_FORMAT}, sha256 {_digest(body)}\n{body}"
         try:
             write_text(path, text, durable=True)
         except OSError as error:
@@ -242,12 +242,13 @@ def _checked(text: str, path: Path) -> str:
     header = _HEADER.match(text)
     if header is None:
         raise StateError(f"{path} is damaged: its first line is not complete")
-    if int(header[1]) > _WITH_MEMORY:
-        raise StateError(f"{path} was written by a newer version: update mr_damper_ros")
+    if int(header[1]) != _FORMAT:
+        raise StateError(
+            f"{path} has version {header[1]} of the format, but this mr_damper_ros reads only "
+            f"version {_FORMAT}: delete the first line of the file to use its parameter set alone"
+        )
     body = text[header.end() :]
-    # The checksum does not cover the version, but the version determines whether there is a memory.
-    of_version = (int(header[1]) == _WITH_MEMORY) == (_MEMORY_LINE in body)
-    if _digest(body) != header[2] or not of_version:
+    if _digest(body) != header[2]:
         raise StateError(
             f"{path} is damaged: its checksum is wrong (if it was edited on purpose, delete its "
             "first line)"

@@ -23,7 +23,6 @@ from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.estimation.observability import operating_points_within, varied_parameters
 from mr_damper_ros.estimation.window_fit import (
     WINDOW_METHODS,
-    WORSE_RATIO,
     WindowFit,
     fit_of,
     fit_window,
@@ -80,7 +79,6 @@ from mr_damper_ros.tracking.operating_point import (
     parts_by_current,
     thinned_to_keep,
 )
-from mr_damper_ros.tracking.recursive_tracker import METHOD, FilterState, RecursiveFilter
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.screening import (
     Screening,
@@ -140,7 +138,6 @@ class TrackerMemory(Experience):
     - ``accepted``: number of windows accepted since the start or reset;
     - ``accepted_since_global``: number of windows since the last global identification that gave an
       accepted set or confirmed the running set;
-    - ``state``: state of the recursive filter;
     - ``watch``: state of the change detection;
     - ``changed_ns``: stamp of the start of the last sudden change;
     - ``searched_points``: number of operating points in the last global identification;
@@ -158,7 +155,6 @@ class TrackerMemory(Experience):
     windows: int = 0
     accepted: int = 0
     accepted_since_global: int = 0
-    state: FilterState | None = None
     watch: ChangeWatch | None = None
     changed_ns: int = 0
     searched_points: int = 0
@@ -172,50 +168,9 @@ class TrackerMemory(Experience):
     seen_ns: int = 0
 
     def forget_changes(self) -> None:
-        """Discard the states of filter and change detection, which belong to another set."""
-        self.state = self.watch = None
+        """Discard the state of the change detection, which belongs to another set."""
+        self.watch = None
         self.changed_ns = 0
-
-
-Fitted = tuple[WindowFit, Evidence, FilterState | None]
-"""The fit of a window, its evidence, and the state of the recursive filter after it."""
-
-
-def _followed(job: Job, window: Window) -> Fitted | None:
-    """Run the recursive filter over the samples of a window that it has not used yet.
-
-    Returns None after a jump in time or to another operating point, and if the filter has diverged,
-    for example from a poorly determined state. A window fit then restarts the filter.
-    """
-    raw, options, state = job.samples, job.settings, job.memory.state
-    if state is None or not state.stamp_ns < raw.end_ns:
-        return None
-    if nearest_same([state.operating_point], window.operating_point) is None:
-        return None
-    unseen = round((raw.end_ns - state.stamp_ns) / (raw.period * NANOSECONDS))
-    new = window.part(slice(max(window.sample_count - unseen, 0), None))
-    running, held = job.running, _held_ranges(job.running, window)[0]
-    problem = WindowProblem(running.law, new, running.values, held=held)
-    follower = RecursiveFilter(
-        state, problem, raw.end_ns, drift_rate=options.drift_rate, robust=options.robust
-    )
-    validation = validation_mask(new.sample_count, job.fresh)
-    follower.take_in(~validation)
-    evidence = _evidence(job, new, follower.as_fit(problem), validation)
-    if evidence.rmse_after > WORSE_RATIO * follower.noise_level:
-        return None
-    follower.take_in(validation)
-    fit = follower.as_fit(WindowProblem(running.law, window, running.values, held=held))
-    return fit, evidence, follower.state
-
-
-TRACKERS: dict[str, Callable[[Job, Window], Fitted | None] | None] = {
-    "window": None,
-    METHOD: _followed,
-    "unscented": _followed,
-}
-"""Tracking methods by name. The function of a method continues from the state of a job and returns
-the fit, or None to request a window fit. If the entry is None, every window is fitted."""
 
 
 @dataclass(frozen=True)
@@ -228,19 +183,6 @@ class TrackerSettings(CheckedSettings):
         "hardly larger than its noise, a false alarm occurs every few hours; otherwise false "
         "alarms practically never occur.",
         within=(0.001, 1.0),
-    )
-    tracker: str = option(
-        "window",
-        "Tracking method: window (each window is fitted on its own) or recursive (an extended "
-        "Kalman filter, which uses every sample once and starts from the fit of a window; its "
-        "earlier name unscented is still accepted).",
-        choices=tuple(TRACKERS),
-    )
-    drift_rate: float = option(
-        1e-3,
-        "For tracker recursive: expected random walk of the force [1/sqrt(s)], relative to "
-        "the force. A larger value tracks faster and averages less.",
-        within=(1e-9, 1.0),
     )
     method: str = option(
         "nelder_mead",
@@ -491,7 +433,7 @@ def _screened(job: Job) -> Window:
 
 
 def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Outcome:
-    """Fit a window, or run the filter over it, and judge the result.
+    """Fit a window and judge the result.
 
     Every good window updates the memory; only accepted ones change the running set. A window is
     unexplained if separate sets for its currents fit it as usual, but one set does not.
@@ -512,10 +454,8 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
         if wins:
             running = rival
             memory.forget_changes()
-            job = replace(job, running=rival, memory=replace(job.memory, state=None))
-    follow = TRACKERS[options.tracker]
-    followed = follow(job, window) if follow else None
-    fit, evidence, state = followed or _fitted(job, window, should_stop)
+            job = replace(job, running=rival)
+    fit, evidence = _fitted(job, window, should_stop)
     names = {"set_id": f"window-{memory.windows}", "stamp_ns": raw.end_ns}
     found = _new_set(running, fit, evidence, window, **names)
     judged = _candidate(running, fit)
@@ -561,7 +501,6 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
     verdict, teaches = judgement.verdict, judgement.teaches
     unexplained = unexplained and verdict is not Verdict.BEYOND_LIMITS
     if teaches:
-        memory.state = state
         memory.watch = memory.watch or watch
         memory.motion = replace(motion, windows=windows_before + 1)
         memory.accepted_since_global += 1
@@ -618,7 +557,9 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
     return Outcome(memory, report, None if used is before else used, found)
 
 
-def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Fitted:
+def _fitted(
+    job: Job, window: Window, should_stop: Callable[[], bool] | None
+) -> tuple[WindowFit, Evidence]:
     """Fit a window, first without its validation samples and then to all samples."""
     running, options = job.running, job.settings
     validation = validation_mask(window.sample_count, job.fresh)
@@ -640,7 +581,7 @@ def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) ->
         success=trained.success,
         message=trained.message,
     )
-    return final, evidence, FilterState.of(final, job.samples.end_ns)
+    return final, evidence
 
 
 def _evidence(job: Job, window: Window, fit: WindowFit, validation: np.ndarray) -> Evidence:
@@ -714,8 +655,8 @@ def _check_change(job: Job, window: Window) -> Outcome:
     memory.level *= 1.0 + evidence.force_change
     memory.windows += 1
     # The residual of an inexact law oscillates, so the change detection stops until the next
-    # window, whose fit also starts the filter again.
-    memory.watch = memory.state = None
+    # window.
+    memory.watch = None
     if raw.start_ns <= job.memory.seen_ns <= raw.end_ns:
         # The samples continue those before, and the temperature does not change so fast: the
         # temperature map has become wrong.

@@ -28,7 +28,6 @@ from mr_damper_ros.models.plausibility import implausible
 from mr_damper_ros.processes.files import BackgroundWriter, FolderLock
 from mr_damper_ros.processes.worker import GRACE
 from mr_damper_ros.tracking.force_scale import is_plausible
-from mr_damper_ros.tracking.operating_point import KnownPoints, nearest_same
 from mr_damper_ros.tracking.state_directory import (
     StateDirectory,
     StateError,
@@ -56,63 +55,11 @@ def from_text(text: str, model: Model) -> TrackerMemory:
     Raises StateError if the text is malformed or contains impossible values.
     """
     try:
-        data = json.loads(text)
-        memory = _read(TrackerMemory, _upgraded(data) if isinstance(data, dict) else data, "memory")
-        # An older version may have had fewer parameters, and numbers of windows from 0 on.
-        records = memory.points.records
-        first = min((each.number for each in records if each.window is not None), default=1)
-        read = []
-        for each in records:
-            number = 0 if each.window is None else each.number + (first == 0)
-            baseline = None if each.baseline is None else model.completed(each.baseline)
-            read.append(dataclasses.replace(each, number=number, baseline=baseline))
-        memory.points = KnownPoints(tuple(read))
+        memory = _read(TrackerMemory, json.loads(text), "memory")
         _check(memory, model)
         return memory
     except (RecursionError, ValueError, OverflowError, TypeError, LookupError) as error:
         raise StateError(f"the memory of the tracker cannot be used: {error}") from error
-
-
-def _upgraded(data: dict[str, Any]) -> dict[str, Any]:
-    """Convert the data of earlier versions."""
-    if "points" not in data:
-        data = _with_records(data)
-    if "scales" in (data.get("state") or ()):
-        data["state"] = None  # had other unknowns: starts again
-    for record in data["points"]["records"]:
-        # A baseline was a whole fit.
-        if "baseline" in record and isinstance(fit := record["baseline"], dict):
-            record["baseline"] = fit.get("parameters", fit)
-    return data
-
-
-_EARLIER_TABLES = ("baselines", "reservoir", "reservoir_points", "reservoir_stamps", "temperatures")
-
-
-def _with_records(data: dict[str, Any]) -> dict[str, Any]:
-    """Convert the data of an earlier version, one table per kind of entry, to point records."""
-    fits, windows, points, stamps, temperatures = (data.get(name, []) for name in _EARLIER_TABLES)
-    history = data.get("history", {})
-    found = [(fit["operating_point"], {"baseline": fit}) for fit in fits]
-    stamps = stamps or [0] * len(windows)
-    for number, (window, point, stamp) in enumerate(zip(windows, points, stamps, strict=True)):
-        found.append((point, {"window": window, "stamp_ns": stamp, "number": number}))
-    for each in temperatures:
-        found.append((each["operating_point"], {"temperatures": each["seen"]}))
-    for force in history.get("forces", []):
-        found.append(([force["peak_velocity"], force["current"]], {"force": force}))
-    records: list[dict[str, Any]] = []
-    for point, entries in found:
-        place = nearest_same([each["point"] for each in records], point)
-        if place is None:
-            place = len(records)
-            records.append({"point": point})
-        records[place] |= entries
-    gone = {*_EARLIER_TABLES, "history", "kept_ns"}
-    kept = {name: value for name, value in data.items() if name not in gone}
-    names = ("residuals", "refused_for_residual", "level")
-    kept |= {name: history[name] for name in names if name in history}
-    return {**kept, "points": {"records": records}}
 
 
 def _plain(value: Any) -> Any:
@@ -169,9 +116,8 @@ _hints = cache(partial(typing.get_type_hints, include_extras=True))
 
 
 def _dataclass(kind: Any, data: Any, where: str) -> Any:
-    # Fields added by a later version have a default, so they may be missing.
     fields = {field.name: field for field in dataclasses.fields(kind)}
-    sound = isinstance(data, dict) and data.keys() <= fields.keys()
+    sound = isinstance(data, dict) and data.keys() == fields.keys()
     _require(sound, f"{where} does not have the entries {', '.join(sorted(fields))}")
     found = {}
     for name, item in data.items():
@@ -188,22 +134,18 @@ def _require(sound: bool, fault: str) -> None:
 
 def _check(memory: TrackerMemory, model: Model) -> None:
     """Raise ValueError if entries do not fit each other or the model."""
-    rival, state, watch = memory.rival, memory.state, memory.watch
+    rival, watch = memory.rival, memory.watch
     sound = memory.global_patience > 0 and (watch is None or watch.block > 0)
     _require(sound, "a count is zero")
     if rival is not None:
         sound = rival.model == model.name and not implausible(rival)
         _require(sound, "the set to be confirmed is not plausible")
     _require(all(len(each) in (2, 4) for each in memory.residuals), "a residual is incomplete")
-    if state is not None:
-        sound = state.mean.shape == model.unknown_indices.shape
-        sound = sound and state.covariance.shape == state.mean.shape * 2
-        _require(sound, "the state of the filter is for another model")
-        _require(bool(np.all(np.diag(state.covariance) >= 0.0)), "a variance is negative")
     for record in memory.points.records:
         seen, baseline = record.temperatures, record.baseline
         sound = seen.ndim == 2 and seen.shape[1] == 3 and is_plausible(seen)
         _require(sound, "a temperature or force scale is not plausible")
+        _require((record.window is None) == (record.number == 0), "a window has no number")
         if record.window is not None:
             _check_window(record.window)
         right = baseline is None or baseline.shape == (len(model.parameters),)

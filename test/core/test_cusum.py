@@ -12,7 +12,6 @@ from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.cusum import SLACK, ChangeWatch
 from mr_damper_ros.tracking.force_scale import measured_scale
-from mr_damper_ros.tracking.recursive_tracker import METHOD
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import WindowTracker
 
@@ -92,7 +91,7 @@ STEP = 4.3
 
 
 def stream(
-    factor: float = 0.9, *, tracker: str = "window", spoil: object = None, **run: object
+    factor: float = 0.9, *, spoil: object = None, **run: object
 ) -> tuple[WindowTracker, list[Report]]:
     """A tracker after ten seconds in which the force changes, and its reports."""
     settings: dict[str, object] = {"samples": 10_000, **run}
@@ -101,7 +100,7 @@ def stream(
     force = np.where(time >= STEP, factor, 1.0) * whole.clean + whole.force - whole.clean
     if callable(spoil):
         force = spoil(time, force)
-    tracked = known.tracker(tracker=tracker)
+    tracked = known.tracker()
     return tracked, known.followed(tracked, whole.displacement, force, 1.0)
 
 
@@ -113,10 +112,9 @@ def seconds(report: Report) -> float:
     return (report.stamp_ns - known.T0) * 1e-9
 
 
-@pytest.mark.parametrize("tracker", ["window", METHOD])
 @pytest.mark.parametrize("factor", [0.7, 0.9, 1.15])
-def test_a_step_is_fitted_before_the_hop_is_over(factor: float, tracker: str) -> None:
-    reports = stream(factor, tracker=tracker)[1]
+def test_a_step_is_fitted_before_the_hop_is_over(factor: float) -> None:
+    reports = stream(factor)[1]
     (report,) = early(reports)
     assert STEP < seconds(report) < 5.0
     assert report.accepted
@@ -130,9 +128,8 @@ def test_a_step_is_fitted_before_the_hop_is_over(factor: float, tracker: str) ->
     assert np.isnan(report.coefficient_errors).all()
 
 
-@pytest.mark.parametrize("tracker", ["window", METHOD])
-def test_after_a_step_no_window_mixes_before_and_after(tracker: str) -> None:
-    tracked, reports = stream(0.9, tracker=tracker)
+def test_after_a_step_no_window_mixes_before_and_after() -> None:
+    tracked, reports = stream(0.9)
     after = reports[reports.index(early(reports)[0]) :]
     scales = [report.scale.value for report in after if report.confirms]
     assert len(scales) >= 2
@@ -152,11 +149,7 @@ FAULTS = (
 @pytest.mark.parametrize(
     "of_stream",
     [
-        *(
-            {"tracker": tracker, "current": current}
-            for tracker in ("window", METHOD)
-            for current in (0.0, 1.0)
-        ),
+        *({"current": current} for current in (0.0, 1.0)),
         *({"spoil": spoil} for spoil in FAULTS),
     ],
 )

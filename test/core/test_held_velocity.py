@@ -58,10 +58,9 @@ def raw(window: Window) -> RawWindow:
     return RawWindow(known.T0, known.PERIOD, motion, window.force, current)
 
 
-@pytest.mark.parametrize("tracker", ["window", "recursive"])
-def test_the_set_of_a_window_beyond_the_known_range_holds_there(tracker: str) -> None:
+def test_the_set_of_a_window_beyond_the_known_range_holds_there() -> None:
     window = beyond(0.8)
-    settings = TrackerSettings(method="least_squares", global_period=0, tracker=tracker)
+    settings = TrackerSettings(method="least_squares", global_period=0)
     tracked = WindowTracker(settings, RUNNING)
     report = tracked.follow(raw(window))
     assert report is not None

@@ -139,11 +139,12 @@ def test_a_damaged_file_is_set_aside(tmp_path: Path) -> None:
     assert state.names() == []
 
 
-def test_a_newer_version_is_not_guessed_at(tmp_path: Path) -> None:
+@pytest.mark.parametrize("version", [1, 2, 4])
+def test_a_file_of_another_format_is_refused(tmp_path: Path, version: int) -> None:
     state = StateDirectory(tmp_path)
     path = state.save("cold", SET)
-    path.write_text(path.read_text().replace("version 1", "version 3"))
-    with pytest.raises(StateError, match="newer version"):
+    path.write_text(path.read_text().replace("version 3", f"version {version}"))
+    with pytest.raises(StateError, match=f"has version {version} of the format"):
         state.load("cold")
 
 

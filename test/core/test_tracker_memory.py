@@ -23,20 +23,17 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import FolderLock, LockHeldError
-from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.operating_point import KnownPoints
-from mr_damper_ros.tracking.recursive_tracker import FilterState
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
-from mr_damper_ros.tracking.tracker import TRACKERS, TrackerSettings, WindowTracker, run
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker, run
 from mr_damper_ros.tracking.tracker_state import TrackerMemory, TrackerState, from_text, to_text
 
 START = ParameterSet(known.PLAUSIBLE, set_id="start")
 
 
-def tracker(**changes: Any) -> WindowTracker:
-    entries: dict[str, Any] = {"method": "least_squares", "global_period": 4, **changes}
-    return WindowTracker(TrackerSettings(**entries), START)
+def tracker() -> WindowTracker:
+    return WindowTracker(TrackerSettings(method="least_squares", global_period=4), START)
 
 
 def feed(tracked: WindowTracker, first: int, last: int) -> list[Report]:
@@ -57,18 +54,17 @@ def feed(tracked: WindowTracker, first: int, last: int) -> list[Report]:
     return reports
 
 
-def resumed(tracked: WindowTracker, **changes: Any) -> WindowTracker:
+def resumed(tracked: WindowTracker) -> WindowTracker:
     """A new tracker with the stored state of another."""
-    again = tracker(**changes)
+    again = tracker()
     again.resume(tracked.parameters, from_text(to_text(tracked.memory), SIGMOID))
     return again
 
 
-@pytest.mark.parametrize("kind", TRACKERS)
-def test_a_tracker_goes_on_where_it_was(kind: str) -> None:
-    tracked = tracker(tracker=kind)
+def test_a_tracker_goes_on_where_it_was() -> None:
+    tracked = tracker()
     feed(tracked, 0, 7)  # the last window is rejected
-    again = resumed(tracked, tracker=kind)
+    again = resumed(tracked)
     assert again.accepted_windows == tracked.accepted_windows > 2
     assert len(again.points.windows) == 2
     without_end, with_restart = feed(tracked, 7, 12), feed(again, 7, 12)
@@ -90,15 +86,13 @@ def test_after_a_reset_the_damper_may_still_be_another_one() -> None:
 
 def learnt() -> dict[str, Any]:
     """State of a tracker after a few windows, with a set to be confirmed, as parsed JSON."""
-    tracked = tracker(tracker="recursive")
+    tracked = tracker()
     feed(tracked, 0, 3)
     tracked.memory.rival = dataclasses.replace(tracked.parameters, set_id="rival")
     return json.loads(to_text(tracked.memory))
 
 
 DOCUMENT = learnt()
-
-OF_THREE = TrackerMemory(state=FilterState(np.ones(3), np.eye(3), known.T0, (0.1, 1.0)))
 
 
 def leaves(data: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
@@ -140,7 +134,7 @@ def test_what_cannot_be_is_refused_or_does_no_harm(path: tuple[Any, ...], wrong:
         memory = from_text(json.dumps(document), SIGMOID)
     except StateError:
         return
-    again = tracker(tracker="recursive")
+    again = tracker()
     again.resume(START, memory)
     for report in feed(again, 3, 5):
         assert report.scale.value > 0.0 or math.isnan(report.scale.value)
@@ -153,7 +147,6 @@ def test_what_cannot_be_is_refused_or_does_no_harm(path: tuple[Any, ...], wrong:
         ("[" * 100_000, "cannot be used: maximum recursion"),
         ("null", "does not have the entries"),
         ('{"windows": 1' + "0" * 5000 + "}", "cannot be used"),
-        ('{"windows": -1}', "is out of range"),
         ('{"future": 1}', "does not have the entries"),
     ],
 )
@@ -166,11 +159,11 @@ def test_other_texts_are_refused(text: str, sentence: str) -> None:
     ("entry", "wrong", "sentence"),
     [
         pytest.param("windows", 10**250, "is out of range", id="name too long"),
+        ("windows", -1, "is out of range"),
         ("windows", True, "has the wrong type"),
         ("seen_ns", 2**63, "is out of range"),
         ("level", 0.0, "level is not positive"),
         ("watch", DOCUMENT["watch"] | {"block": 0}, "a count is zero"),
-        ("state", json.loads(to_text(OF_THREE))["state"], "the state of the filter is for another"),
         (
             "rival",
             known.controllable("bingham").to_yaml(),
@@ -221,9 +214,6 @@ def test_a_place_beyond_the_window_is_refused() -> None:
 # -- the state survives in its folder, and an unusable file is set aside ---------------------------
 
 FIRST = ParameterSet(known.weaker(0.8), set_id="start")
-
-ROUNDING = 1e-4
-"""Relative: a simplex search stops within its tolerance, and rounding may shift its end."""
 
 
 def state_in(folder: Path | str, name: str = "identifier") -> tuple[WindowTracker, TrackerState]:
@@ -347,52 +337,20 @@ def test_sets_are_kept_under_names_beside_the_own_one(tmp_path: Path) -> None:
     state.close()
 
 
-def test_a_state_of_the_version_before_is_gone_on_with(tmp_path: Path) -> None:
-    # Written before the modules were moved into rooms: three windows, the last of random motion.
-    kept = Path(__file__).parent / "data" / "state_before_rooms.yaml"
-    (tmp_path / "identifier.yaml").write_bytes(kept.read_bytes())
-    tracker = WindowTracker(TrackerSettings(), FIRST)
-    state = TrackerState(StateDirectory(tmp_path), "identifier")
-    assert state.resume(tracker) == "parameters window-3 and 3 baselines, 3 windows"
-    assert state.writer.fault == state.set_aside == ""
-    assert [window.whole is not None for window in tracker.points.windows] == [False] * 2 + [True]
-    run = known.run(current=0.5, samples=240, seed=9, period=5e-3)
-    report = tracker.follow(known.raw_window(run, number=9))
-    # Results of that version for the same window.
-    assert report.nrmse_before == pytest.approx(0.016445012097722766, rel=ROUNDING)
-    assert report.nrmse_after == pytest.approx(0.007296376904043102, rel=ROUNDING)
-    # Relative: that version compared the loops of a sine, this one the forces over the window.
-    assert report.scale.value == pytest.approx(0.9996800931297712, rel=5e-4)
-    assert report.set_id == "window-4"
+def test_a_state_of_another_format_is_refused_and_stays_on_disk(tmp_path: Path) -> None:
+    _, state = taught(tmp_path)
     state.close()
-
-
-def test_a_state_from_before_a_model_had_more_parameters_is_gone_on_with(tmp_path: Path) -> None:
-    # Bingham's model had three parameters then; the coefficients of the current have defaults.
-    kept = Path(__file__).parent / "data" / "bingham_before_rooms.yaml"
-    (tmp_path / "identifier.yaml").write_bytes(kept.read_bytes())
-    settings = TrackerSettings(model="bingham", method="least_squares")
-    start = ParameterSet(known.EXAMPLES["bingham"], model="bingham", set_id="start")
-    tracker = WindowTracker(settings, start)
-    state = TrackerState(StateDirectory(tmp_path), "identifier")
-    assert state.resume(tracker) == "parameters window-1 and 1 baselines, 1 windows"
-    assert state.writer.fault == state.set_aside == ""
-    assert tracker.parameters.values.size == len(tracker.parameters.law.parameter_names)
-    state.close()
-
-
-def test_a_filter_with_the_unknowns_of_an_earlier_version_starts_again() -> None:
-    data = json.loads(to_text(OF_THREE))
-    data["state"]["scales"] = data["state"].pop("mean")
-    assert from_text(json.dumps(data), MODELS["sigmoid"]).state is None
-
-
-def test_a_filter_that_fails_starts_again() -> None:
-    tracked = tracker(tracker="recursive")
-    feed(tracked, 0, 3)
-    assert tracked.memory.state is not None
-    tracked.memory.state = dataclasses.replace(
-        tracked.memory.state, mean=1e300 * tracked.memory.state.mean
+    path = tmp_path / "identifier.yaml"
+    path.write_text(old := path.read_text().replace("version 3", "version 2"))
+    tracker, again = state_in(tmp_path)
+    assert again.resume(tracker) == ""
+    again.keep_now(tracker)
+    again.close()
+    assert "has version 2 of the format, but this mr_damper_ros reads only version 3" in (
+        again.set_aside
     )
-    verdicts = [report.verdict for n in (4, 8) for report in feed(tracked, n, n + 1)]
-    assert verdicts == [Verdict.FAILED, Verdict.ACCEPTED]
+    assert tracker.parameters.set_id == FIRST.set_id
+    assert (tmp_path / "identifier.aside").read_text() == old
+    # What the sentence advises.
+    (tmp_path / "set.yaml").write_text(old.partition("\n")[2])
+    assert again.load("set").set_id == "window-1"

@@ -15,7 +15,7 @@ OWN = """
 def floor(now):
     if now.body < 0.0:
         raise RuntimeError("not like this")
-    return 1234.0 * now.apart
+    return 1234.0 * now.stroke
 """
 
 
