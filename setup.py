@@ -97,6 +97,7 @@ setup(
     python_requires=">=3.10",
     install_requires=[
         "matplotlib>=3.6",
+        "mcap>=1.2.2",
         "numpy>=1.26",
         "PyYAML>=6.0",
         "rosbags>=0.11.9",

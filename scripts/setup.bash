@@ -6,7 +6,7 @@
 #   scripts/setup.bash doc      .venv-doc: the packages for the documentation, without ROS
 # PYTHON=/path/to/python3 chooses the interpreter.
 #
-# If ROS 2 Jazzy is sourced, it and its Python are used. rosbags and the test tools are often missing
+# If ROS 2 Jazzy is sourced, it and its Python are used. rosbags, mcap and the test tools are often missing
 # there, and on Ubuntu pip cannot install them into the system's Python. The .venv then holds only
 # these, and also sees the system's packages. A plain `colcon build` does not use this .venv.
 set -euo pipefail
@@ -169,12 +169,12 @@ if ! usable .venv "$stamp"; then
         "sudo apt install ros-jazzy-desktop ros-dev-tools), or unset ROS_DISTRO to use the wheels."
     problem=$(python_problem "$python" 13)
     [ -z "$problem" ] || fail "$problem"
-    say "Installing the packages that this ROS 2 Jazzy lacks (rosbags, test tools) into .venv"
+    say "Installing the packages that this ROS 2 Jazzy lacks (rosbags, mcap, test tools) into .venv"
     rm -rf .venv build install log
     "$python" -m venv --system-site-packages .venv || fail "$python could not make the environment .venv."
     wanted=$(.venv/bin/python - <<'PYTHON'
 from importlib.util import find_spec
-needs = dict(rosbags="rosbags", pytest="pytest", hypothesis="hypothesis", lxml="lxml", mypy="mypy",
+needs = dict(rosbags="rosbags", mcap="mcap", pytest="pytest", hypothesis="hypothesis", lxml="lxml", mypy="mypy",
              ruff="ruff", numpy="numpy", scipy="scipy", yaml="PyYAML", matplotlib="matplotlib", cma="cma",
              threadpoolctl="threadpoolctl", xdist="pytest-xdist")
 needs["yaml-stubs"] = "types-PyYAML"

@@ -106,17 +106,21 @@ def test_rosdep_resolves_every_key(name):
     assert keys_in(ROOT / name) - rosdep_keys() - {"mr_damper_msgs"} == set()
 
 
+KEYS = {"mcap": "mcap-ros2-support"}
+"""Keys that differ from the module names; this one installs the module with another package."""
+
+
 def key_of(module: str) -> str:
     """The rosdep key of a module: that of a Python package or the name of a package of ROS."""
-    candidates = (f"python3-{module}", f"python3-{module}-pip")
+    candidates = (KEYS.get(module, ""), f"python3-{module}", f"python3-{module}-pip")
     return next((key for key in candidates if key in rosdep_keys()), module)
 
 
 OPTIONAL = {"distributed", "nptdms", "numba", "openpyxl", "pyarrow", "pyvisa"}
 """Optional packages."""
 
-BROUGHT_BY_ROSBAGS = {"lz4", "backports", "compression"}
-"""Packages that rosbags needs for compressed bags; Python 3.14 includes compression."""
+BROUGHT_BY_MCAP = {"lz4", "zstandard"}
+"""Packages that mcap needs for compressed bags."""
 
 
 def imported_modules() -> set[str]:
@@ -134,7 +138,7 @@ def imported_modules() -> set[str]:
 
 def needed_modules() -> set[str]:
     """Modules that are imported and not optional."""
-    return imported_modules() - OPTIONAL - BROUGHT_BY_ROSBAGS
+    return imported_modules() - OPTIONAL - BROUGHT_BY_MCAP
 
 
 def test_package_xml_names_everything_that_is_imported():
@@ -151,7 +155,9 @@ DISTRIBUTIONS = {"yaml": "PyYAML"}
 
 def python_packages() -> dict[str, str]:
     """Modules outside ROS that are needed, with their pip names."""
-    found = (name for name in needed_modules() if key_of(name).startswith("python3-"))
+    found = (
+        name for name in needed_modules() if name in KEYS or key_of(name).startswith("python3-")
+    )
     return {name: DISTRIBUTIONS.get(name, name) for name in found}
 
 

@@ -13,9 +13,12 @@ import tempfile
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 from rosbags.interfaces import (
+    Connection,
     Qos,
     QosDurability,
     QosHistory,
@@ -27,7 +30,6 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mr_damper_ros.io.bag_reader import TOPICS, BagError
-from mr_damper_ros.io.mcap_checksums import add_checksums
 from mr_damper_ros.processes.files import named_errors
 from mr_damper_ros.signals.blocks import NANOSECONDS, STAMP_LIMIT, SampleBlock
 from mr_damper_ros.signals.recording import (
@@ -80,6 +82,46 @@ def _typestore() -> Any:
     return store
 
 
+class _McapFile:
+    """An MCAP file with checksums, which the storage of rosbags does not write."""
+
+    def __init__(self, path: Path, _compression: object) -> None:
+        self.path = path / f"{path.name}.mcap"
+        self._file = self.path.open("xb")
+        self._mcap = McapWriter(self._file, compression=CompressionType.NONE, enable_data_crcs=True)
+        self._mcap.start("ros2")
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[int, int] = {}
+
+    def add_msgtype(self, connection: Connection) -> None:
+        self._schemas[connection.msgtype] = self._mcap.register_schema(
+            connection.msgtype, "ros2msg", connection.msgdef.data.encode()
+        )
+
+    def add_connection(self, connection: Connection, quality: str) -> None:
+        self._channels[connection.id] = self._mcap.register_channel(
+            connection.topic,
+            "cdr",
+            self._schemas[connection.msgtype],
+            {"offered_qos_profiles": quality},
+        )
+
+    def write(self, connection: Connection, time_ns: int, data: bytes | memoryview) -> None:
+        self._mcap.add_message(self._channels[connection.id], time_ns, bytes(data), time_ns)
+
+    def close(self, _version: int, metadata: str) -> None:
+        self._mcap.add_metadata("rosbag2", {"serialized_metadata": metadata})
+        self._mcap.finish()
+        self._file.close()
+
+    def abort(self) -> None:
+        self._file.close()
+
+
+class _Writer(Writer):
+    STORAGE_PLUGINS: ClassVar = {StoragePlugin.MCAP: _McapFile}
+
+
 class BagStream:
     """A bag that is written message by message in ``fresh``, and moved to ``path`` when closed.
 
@@ -92,7 +134,7 @@ class BagStream:
         self._path, self.fresh = path, path.with_name(f".{path.name}.part") / path.name
         self.fresh.parent.mkdir(parents=True)
         store = _typestore()
-        self._writer = Writer(self.fresh, version=9, storage_plugin=StoragePlugin.MCAP)
+        self._writer = _Writer(self.fresh, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.open()
         for key, value in details.items():
             self._writer.set_custom_data(key, value)
@@ -108,9 +150,8 @@ class BagStream:
         self._writer.write(self._connections[topic], time_ns, data)
 
     def close(self) -> None:
-        """Close the bag, add checksums, and move it to its path."""
+        """Close the bag and move it to its path."""
         self._writer.close()
-        add_checksums(self.fresh / f"{self._path.name}.mcap")
         self.fresh.rename(self._path)
         self.fresh.parent.rmdir()
 
