@@ -39,7 +39,7 @@ thesis: setup ## Reproduce the thesis' results into build/thesis/report.html (AR
 	@. ./env.bash
 	exec python -m studies thesis $(ARGS)
 
-control: setup ## Compare controllers in a car and in buildings: build/control/report.html
+control: setup ## Compare controllers in a car: build/control/report.html
 	@. ./env.bash
 	exec python -m studies control $(ARGS)
 

@@ -13,7 +13,6 @@ from mr_damper_ros.control.linear_plant import IsoRoad, QuarterCar
 from mr_damper_ros.emulation.emulator import CurrentSchedule
 from mr_damper_ros.emulation.motions import ChangedMotion, Excitation, SampledMotion, SineMotion
 from mr_damper_ros.signals.arrays import Array
-from studies.control.buildings import Shaking
 
 _GRID = 5e-3
 """Sample period [s] of a motion up to about 20 Hz; a spline interpolates the samples."""
@@ -107,17 +106,40 @@ def _car_travel(seed: int) -> Excitation:
     return SampledMotion(_from_rest(states @ plant.displacement, 0.015, _GRID), _GRID)
 
 
+def _shaken(seed: int) -> Array:
+    """Ground acceleration of an earthquake, for a peak of 1, at intervals of :data:`_GRID`.
+
+    It is noise with the Kanai-Tajimi spectrum (Tajimi, 2nd World Conference on Earthquake
+    Engineering, 1960) within an envelope; its low frequencies are removed as Clough and Penzien
+    propose.
+    """
+    frequency, damping, rise, strong, decay = 2.0, 0.4, 1.5, 3.0, 1.8
+    count = round((rise + strong + 3.0 * decay) / _GRID)
+    rates = np.fft.rfftfreq(count, _GRID)
+    square = (rates / frequency) ** 2
+    damped = 4.0 * damping**2 * square
+    low = (rates / (0.1 * frequency)) ** 2
+    power = (1.0 + damped) / ((1.0 - square) ** 2 + damped)
+    power *= low**2 / ((1.0 - low) ** 2 + 4.0 * damping**2 * low)
+    power[rates > 25.0] = 0.0
+    noise = np.fft.rfft(np.random.default_rng(seed).standard_normal(count))
+    time = _GRID * np.arange(count)
+    envelope = np.minimum(time / rise, 1.0) ** 2
+    envelope *= np.exp(-np.maximum(time - rise - strong, 0.0) / decay)
+    shaken = np.fft.irfft(noise * np.sqrt(power), count) * envelope
+    return np.asarray(shaken / float(np.max(np.abs(shaken))))
+
+
 def _earthquakes(seed: int) -> Excitation:
     """Storey drift of a building at 1.4 Hz under a series of earthquakes."""
     rate = 2.0 * math.pi * 1.4
     dynamics = np.array([[0.0, 1.0], [-(rate**2), -0.5 * rate]])
-    drifts, every = [], _GRID
+    drifts = []
     for place, peak in enumerate((0.012, 0.006, 0.009)):
-        ground = Shaking(0.5, 2.0, 0.4, 1.5, 3.0, 1.8, seed=10 * seed + place).motion()
-        every = ground.every
-        states = _simulated(dynamics, np.outer(-ground.acceleration, [0.0, 1.0]), every)
-        drifts.append(_from_rest(states[:, 0], peak, every))
-    return SampledMotion(np.concatenate(drifts), every)
+        ground = _shaken(10 * seed + place)
+        states = _simulated(dynamics, np.outer(-ground, [0.0, 1.0]), _GRID)
+        drifts.append(_from_rest(states[:, 0], peak, _GRID))
+    return SampledMotion(np.concatenate(drifts), _GRID)
 
 
 SLOW = "sine 0.05-0.2 Hz"

@@ -90,15 +90,11 @@ def truth_figures(quick: bool = False) -> Measured:
 
 
 def control_figures(quick: bool = False) -> Measured:
-    """Figures of the best controller on each road, and of the weighted inverse in buildings."""
+    """Figures of the best controller on each road."""
     parts, note = document("control", quick)
-    buildings, roads = parts["buildings"], parts["roads"]
+    roads = parts["roads"]
     named = ", ".join(f"{road} {name}" for road, name in roads["best"].items())
-    return {
-        **{key: (value, f"{note} The best: {named}.") for key, value in roads["worst"].items()},
-        "building_cases_won": (float(buildings["won"]), f"Of {buildings['cases']}. {note}"),
-        "building_reversals_per_second": (buildings["reversals_per_second"], note),
-    }
+    return {key: (value, f"{note} The best: {named}.") for key, value in roads["worst"].items()}
 
 
 # -- cold starts of the identifier on an unknown damper --------------------------------------------

@@ -27,10 +27,10 @@ def _of_thesis(campaign: Campaign) -> str:
 
 def _of_control(campaign: Campaign) -> str:
     return (
-        "Everything here is simulated: car, buildings and dampers are emulated, and nothing was "
-        "tried on hardware. The damper is commanded through the inverse of its identified law, by "
-        "the code that the controller node runs. All random numbers have fixed seeds."
-    ) + " Quick variant: drives and earthquakes are shortened." * campaign.quick
+        "Everything here is simulated: car and damper are emulated, and nothing was tried on "
+        "hardware. The damper is commanded through the inverse of its identified law, by the code "
+        "that the controller node runs. All random numbers have fixed seeds."
+    ) + " Quick variant: drives are shortened." * campaign.quick
 
 
 def _of_truth(campaign: Campaign) -> str:
@@ -71,17 +71,15 @@ STUDIES = {
     ),
     "control": study(
         "control",
-        "Simulate a quarter car on roads of ISO 8608 and buildings in earthquakes, with an "
-        "emulated MR damper under several controllers, and write one report.",
+        "Simulate a quarter car on roads of ISO 8608, with an emulated MR damper under several "
+        "controllers, and write one report.",
         "Controllers of an MR damper side by side",
         _of_control,
         {
             "roads": "control.car.roads_part",
             "heated": "control.car.heated_part",
-            "buildings": "control.buildings.buildings_part",
-            "hybrid": "control.hybrid.hybrid_part",
         },
-        "shortened drives and earthquakes",
+        "shortened drives",
     ),
     "truth": study(
         "truth",

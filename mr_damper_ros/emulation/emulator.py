@@ -429,9 +429,8 @@ class PlantRig(MeasuredRig):
     """A damper in a plant.
 
     Each sample period has ``substeps`` steps. The force of the damper is computed at every step and
-    held during it; for this held force, the solution of the plant is exact. ``dampers`` equal
-    dampers act in parallel, and one of them is measured. The current in the coil follows the supply
-    with a lag of ``coil_time_constant`` [s].
+    held during it; for this held force, the solution of the plant is exact. The current in the coil
+    follows the supply with a lag of ``coil_time_constant`` [s].
     """
 
     def __init__(
@@ -444,12 +443,11 @@ class PlantRig(MeasuredRig):
         settings: RigSettings | None = None,
         thermal: ThermalModel | None = None,
         coil_time_constant: float = 0.0,
-        dampers: int = 1,
         substeps: int = 4,
     ) -> None:
         super().__init__(damper, current, settings, thermal)
         self._surroundings = surroundings
-        self._dampers, self._substeps = dampers, substeps
+        self._substeps = substeps
         self._step = self.settings.period / substeps
         self.plant = MovingPlant(plant, self._step)
         """The plant in its present state."""
@@ -495,7 +493,7 @@ class PlantRig(MeasuredRig):
         motion = Motion(np.array([now.displacement]), velocity, acceleration, peak, sine=None)
         coil = np.array([self._coil])
         self._force = float(self._damper.force(motion, coil, self._celsius, self._step)[0])
-        self.plant.step(self._dampers * self._force, moved)
+        self.plant.step(self._force, moved)
         return self._force * now.velocity * self._step
 
 

@@ -1,6 +1,5 @@
 """The text of the control study's report for invented results."""
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +9,7 @@ import pytest
 from mr_damper_ros.processes.files import write_bytes
 from mr_damper_ros.report import document
 from studies.__main__ import main
-from studies.control import buildings, car, hybrid
-from studies.control.buildings import BANG_BANG, ON, WEIGHTED
+from studies.control import car
 
 
 def invented(text: str) -> float:
@@ -48,19 +46,6 @@ def drive_heated(learns: bool, duration: float) -> Any:
     return {"series": values, "accepted": 7}
 
 
-def shaken(strategy: str, case: tuple[str, str], lag: float, longest: float) -> Any:
-    size = {WEIGHTED: 0.2, ON: 0.3, BANG_BANG: 0.25}.get(strategy, 1.0)
-    names = ("displacement", "acceleration", "farthest", "highest")
-    numbers = {**dict.fromkeys(names, size), "reversals": 10.0, "force": 1e3}
-    return {**numbers, "series": series(8.0, 0.01, size)}
-
-
-def reckoned(name: str, duration: float) -> Any:
-    time = np.arange(0.0, 6.0, 0.01)
-    wave = (1.0 if name == hybrid.REFERENCE else 1.1) * np.sin(9.0 * time)
-    return {"time": time, **dict.fromkeys(("floor", "damper", "force", "roof"), wave)}
-
-
 def sketched(folder: Path, picture: document.Picture) -> bytes:
     """An empty file for a figure: it is drawn, but not rendered."""
     write_bytes(folder / f"{picture.name}.svg", b"<svg/>")
@@ -71,8 +56,6 @@ def sketched(folder: Path, picture: document.Picture) -> bytes:
 def written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     monkeypatch.setattr(car, "drive", driven)
     monkeypatch.setattr(car, "drive_heated", drive_heated)
-    monkeypatch.setattr(buildings, "simulate", shaken)
-    monkeypatch.setattr(hybrid, "hybrid", reckoned)
     monkeypatch.setattr(document, "write_picture", sketched)
     assert main(["control", "--quick", "--workers", "1", "--output", str(tmp_path)]) == 0
     return tmp_path
@@ -80,14 +63,8 @@ def written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 
 def test_the_report_holds_all_chapters_figures_and_tables(written: Path) -> None:
     page = (written / "report.html").read_text(encoding="utf-8")
-    for chapter in ("damper", "roads", "bump", "lag", "heated", "buildings", "hybrid"):
+    for chapter in ("damper", "roads", "bump", "lag", "heated"):
         assert f'<section id="{chapter}">' in page
     assert "Quick variant" in page
-    assert "9 of 9 cases" in page
     assert "with the set identified on line, 1.00 times" in page
-    assert len(list((written / "figures").glob("*.svg"))) == 9
-    with (written / "tables" / "buildings.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 9 * 5
-    weighted = [row for row in rows if row["controller"] == WEIGHTED]
-    assert {float(row["RMS displ."]) for row in weighted} == {20.0}
+    assert len(list((written / "figures").glob("*.svg"))) == 6

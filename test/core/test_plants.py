@@ -31,7 +31,6 @@ from mr_damper_ros.emulation.emulator import (
 )
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SuspensionState
-from studies.control.buildings import BUILDINGS, STOREYS, StateEstimator
 
 CAR = QuarterCar()
 
@@ -69,23 +68,6 @@ def test_a_choice_takes_effect_with_the_next_block() -> None:
     ]
     assert [float(current[0]) for current in currents] == pytest.approx([0.2, 0.0, 0.01, 0.02])
     assert all(np.ptp(current) == 0.0 for current in currents)
-
-
-def test_an_estimator_finds_the_states() -> None:
-    building, period = BUILDINGS["II"], 1e-3
-    outputs, direct = building.dynamics[STOREYS:], building.by_force[STOREYS:]
-    estimator = StateEstimator(
-        building.plant, outputs, direct, disturbance=0.1, noise=5e-4, period=period
-    )
-    plant = MovingPlant(building.plant, period)
-    plant.state = np.array([1e-3, 2e-3, 3e-3, 0.0, 0.0, 0.0])
-    for number in range(4000):
-        force = 100.0 * math.sin(0.02 * number)
-        read = outputs @ plant.state + direct * force
-        plant.step(force, 0.0)
-        found = estimator.follow(force, read)
-    # The outputs are held for one sample while the building moves on.
-    assert np.linalg.norm(found - plant.state) < 0.05 * np.linalg.norm(plant.state)
 
 
 @pytest.mark.parametrize(
