@@ -7,7 +7,7 @@ import threading
 import time
 from contextlib import suppress
 
-from mr_damper_ros.rig.supplies.scpi_link import EmulatedInstrument
+from mr_damper_ros.emulation.instrument import EmulatedInstrument
 
 
 class InstrumentServer:

@@ -19,8 +19,8 @@ import numpy as np
 from benchmarks.figure import Measured
 from benchmarks.instrument_server import InstrumentServer
 from benchmarks.nodes import Nodes
+from mr_damper_ros.emulation.instrument import EmulatedInstrument
 from mr_damper_ros.processes.programs import PATIENCE, Program
-from mr_damper_ros.rig.supplies.scpi_link import EmulatedInstrument
 
 _CURRENT, _NONE = 1.0, 0.02
 _WATCHDOG, _TIMEOUT, _LINK = 0.5, 0.3, 0.3

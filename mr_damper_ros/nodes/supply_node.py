@@ -14,6 +14,7 @@ from functools import partial
 from mr_damper_msgs.msg import SupplyCurrent
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
+from mr_damper_ros.emulation.instrument import EmulatedInstrument
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.command_topic import CommandTopic
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
@@ -279,7 +280,7 @@ def _supply(values: SupplyParameters) -> ScpiSupply:
     """The supply of the parameters; raises ValueError."""
     emulated = values.address == _EMULATED
     profile = read_profile(values.profile or (_EMULATED if emulated else "scpi"))
-    instrument = scpi_link.EmulatedInstrument()
+    instrument = scpi_link.DirectLink(EmulatedInstrument().process)
 
     def link(patience: scpi_link.Patience) -> scpi_link.ScpiLink:
         return instrument if emulated else scpi_link.connect(values.address, patience)

@@ -14,9 +14,10 @@ import pytest
 from waiting import SetClock, until
 
 from benchmarks.instrument_server import InstrumentServer
+from mr_damper_ros.emulation.instrument import EmulatedInstrument
 from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander, Origin
 from mr_damper_ros.rig.supplies.scpi_link import (
-    EmulatedInstrument,
+    DirectLink,
     LinkLostError,
     Patience,
     connect,
@@ -230,23 +231,12 @@ def test_it_is_off_and_without_current_until_it_is_switched_on(
     assert supply.measured() == pytest.approx(0.0, abs=1e-3)
 
 
-class AnsweringLink(EmulatedInstrument):
-    """A link to an instrument with prescribed measurements."""
-
-    def __init__(self, answer: str) -> None:
-        super().__init__()
-        self._says = answer
-
-    def query(self, line: str) -> str:
-        return self._says if line == "MEAS:CURR?" else super().query(line)
-
-
 @pytest.mark.parametrize("answer", ["", "nan", "9.91E+37", "-9.9E37"])
 def test_what_is_no_number_is_no_measured_current(answer: str) -> None:
+    instrument = EmulatedInstrument()
+    link = DirectLink(lambda line: answer if line == "MEAS:CURR?" else instrument.process(line))
     profile = read_profile("emulated")
-    supply = ScpiSupply(
-        lambda _: AnsweringLink(answer), profile, voltage=12.0, watchdog=0.5, timeout=TIMEOUT
-    )
+    supply = ScpiSupply(lambda _: link, profile, voltage=12.0, watchdog=0.5, timeout=TIMEOUT)
     supply.open()
     with pytest.raises(SupplyError, match="is not a current"):
         supply.measured()

@@ -11,9 +11,9 @@ from mr_damper_msgs.msg import CurrentCommand, SupplyCurrent
 from support import Listener
 
 from benchmarks.instrument_server import InstrumentServer
+from mr_damper_ros.emulation.instrument import EmulatedInstrument
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import header
-from mr_damper_ros.rig.supplies.scpi_link import EmulatedInstrument
 
 NEARLY = 0.02
 """[A]: a coil after four time constants, and the resolution of a reading."""
