@@ -23,6 +23,8 @@ if TYPE_CHECKING:  # a type checker reads these imports, the program the table b
     from mr_damper_ros.api.identification import Identification as Identification
     from mr_damper_ros.api.identification import choose_law as choose_law
     from mr_damper_ros.api.identification import identify as identify
+    from mr_damper_ros.api.many_recordings import IdentifiedRecording as IdentifiedRecording
+    from mr_damper_ros.api.many_recordings import identify_many as identify_many
     from mr_damper_ros.api.replay import Replay as Replay
     from mr_damper_ros.api.replay import follow as follow
     from mr_damper_ros.api.replay import replay as replay
@@ -37,8 +39,6 @@ if TYPE_CHECKING:  # a type checker reads these imports, the program the table b
     from mr_damper_ros.io.bag_writer import write_bag as write_bag
     from mr_damper_ros.io.records import read_record as read_record
     from mr_damper_ros.io.records import read_runs as read_runs
-    from mr_damper_ros.lots.many_dampers import ManyDampers as ManyDampers
-    from mr_damper_ros.lots.many_dampers import identify_many as identify_many
     from mr_damper_ros.models import MODELS as MODELS
     from mr_damper_ros.models.parameter_set import ParameterSet as ParameterSet
     from mr_damper_ros.signals.blocks import SampleBlock as SampleBlock
@@ -53,6 +53,7 @@ if TYPE_CHECKING:  # a type checker reads these imports, the program the table b
 _NAMES = {
     "api.comparison": ("Validation", "validate"),
     "api.identification": ("Identification", "choose_law", "identify"),
+    "api.many_recordings": ("IdentifiedRecording", "identify_many"),
     "api.replay": ("Replay", "follow", "replay"),
     "campaign.course": ("ForceCampaign", "run_campaign"),
     "control.inverse_model": ("InverseModel",),
@@ -61,7 +62,6 @@ _NAMES = {
     "io.bag_reader": ("read_bag",),
     "io.bag_writer": ("write_bag",),
     "io.records": ("read_record", "read_runs"),
-    "lots.many_dampers": ("ManyDampers", "identify_many"),
     "models": ("MODELS",),
     "models.parameter_set": ("ParameterSet",),
     "signals.blocks": ("SampleBlock",),

@@ -337,8 +337,7 @@ def identify(
         A run as arrays of shape (n,): displacement [m], extension positive; force [N], tension
         positive; current [A], or one number if it is constant; and the sample period [s].
     model
-        Force law. For identify, "auto" compares all laws by cross-validation
-        (:func:`choose_law`).
+        Force law. "auto" compares all laws by cross-validation (:func:`choose_law`).
 
         The laws are the keys of ``MODELS``.
     method

@@ -12,7 +12,6 @@ from typing import Any, SupportsFloat, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mr_damper_ros.io.recording_list import RECORD_ENDINGS
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window, holds_cycle
 from mr_damper_ros.models.quantities import SAME_CURRENT
@@ -34,6 +33,9 @@ RunArrays = tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None, float | 
 """Displacement [m], force [N] and current [A] of a run, and the sample period [s]."""
 
 _LARGEST_MASS = 1e6
+_RECORD_ENDINGS = frozenset(
+    {".txt", ".csv", ".tsv", ".dat", ".asc", ".mat", ".xlsx", ".xlsm", ".tdms"}
+)
 _LIMITS = Screening(minimum_amplitude=1e-6, current_tolerance=2.0 * LARGEST_CURRENT)
 
 
@@ -56,6 +58,13 @@ class MeasuredRun:
         return max(self.windows, key=lambda window: window.sample_count)
 
 
+def run_name(source: object) -> str:
+    """The name of a recording, or the path of a bag."""
+    if isinstance(source, Recording):
+        return source.name
+    return os.fspath(source) if isinstance(source, (str, os.PathLike)) else str(source)
+
+
 def measured_run(
     source: str | os.PathLike[str] | Recording, accept_doubtful: bool = False
 ) -> MeasuredRun:
@@ -65,10 +74,11 @@ def measured_run(
     remark instead, unless the displacement or the force is constant.
     """
     recordings: tuple[Recording, ...]
+    name = run_name(source)
     if isinstance(source, Recording):
-        name, recordings = source.name, (source,)
+        recordings = (source,)
     elif isinstance(source, (str, os.PathLike)):
-        name, recordings = os.fspath(source), tuple(_recordings(Path(source)))
+        recordings = tuple(_recordings(Path(source)))
     else:
         raise ValueError(
             f"a run cannot be of type {type(source).__name__}: give the path of a bag or a "
@@ -117,7 +127,7 @@ def measured_runs(
 
     Raises ValueError if there is no run, or one cannot be used.
     """
-    flat = _flat(sources)
+    flat = flat_runs(sources)
     if any(given is not None for given in arrays):
         flat.append(_from_arrays(arrays))
     if not flat:
@@ -159,19 +169,20 @@ def _task(task: tuple[str | Recording, bool], notify: Notify) -> MeasuredRun:
     return measured_run(*task)
 
 
-def _flat(sources: Iterable[RunSource]) -> list[Any]:
+def flat_runs(sources: Iterable[RunSource]) -> list[Any]:
+    """All paths and recordings in nested iterables; other objects are kept, to be rejected."""
     flat: list[Any] = []
     for source in sources:
         whole = isinstance(source, (str, bytes, Mapping)) or hasattr(source, "__array__")
         if isinstance(source, Iterable) and not whole:
-            flat += _flat(source)
+            flat += flat_runs(source)
         else:
             flat.append(source)
     return flat
 
 
 def _recordings(path: Path) -> list[Recording]:
-    if path.suffix.lower() in RECORD_ENDINGS and path.is_file():
+    if path.suffix.lower() in _RECORD_ENDINGS and path.is_file():
         raise ValueError(
             f"{path} is not a bag: describe its columns and units to read_record in Python, or "
             "convert it with mr-damper import"

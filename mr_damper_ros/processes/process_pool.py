@@ -3,28 +3,23 @@
 A task is a picklable function of one picklable argument, and depends on nothing else. Each process
 computes with one BLAS thread, because sums depend on the number of threads. The results are
 therefore identical to the last digit.
-
-A task of :func:`finish` returns a JSON document and raises no exception; a failure is described in
-its document. :func:`store_document` stores such documents, each in its own file, atomically.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-import re
+import os
+import pickle
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import CancelledError, Executor, Future, as_completed
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import Executor, Future, as_completed
 from contextlib import AbstractContextManager, closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any, SupportsIndex, TypeVar
 
 from mr_damper_ros.processes.blas_threads import one_thread
-from mr_damper_ros.processes.files import reason_of, write_text
+from mr_damper_ros.processes.files import reason_of
 from mr_damper_ros.processes.worker import LONGEST_PAUSE, Done, Failed, Progress, Worker, WorkerPool
 
 Task = TypeVar("Task")
@@ -74,12 +69,14 @@ class ProcessPool(AbstractContextManager):
         exception of a task, and WorkersError if a process dies with each attempt at a task.
         """
         results: list[Result | None] = [None] * len(tasks)
-        for outcome in self.outcomes(function, tasks, listen):
-            if isinstance(outcome, Failed):
-                raise WorkersError(f"a task cannot be done: {outcome.reason}")
-            results[outcome.task] = outcome.result
-            if done is not None:
-                done(outcome.task, outcome.result)
+        with closing(self.outcomes(function, tasks, listen)) as outcomes:
+            for outcome in outcomes:
+                if isinstance(outcome, Failed):
+                    why = f"a task cannot be done: {outcome.reason}"
+                    raise outcome.error or WorkersError(why)
+                results[outcome.task] = outcome.result
+                if done is not None:
+                    done(outcome.task, outcome.result)
         return results
 
     def outcomes(
@@ -87,14 +84,16 @@ class ProcessPool(AbstractContextManager):
         function: Callable[[Task, Notify], Any],
         tasks: Sequence[Task],
         listen: Listen | None = None,
-    ) -> Iterator[Done | Failed]:
+    ) -> Generator[Done | Failed, None, None]:
         """The outcome of every task as soon as it is complete; its ``task`` is the index.
 
         ``listen`` receives the progress of the tasks and may stop them; running tasks then return
         their present results. A task whose process dies repeatedly runs once more while no other
-        task runs, and has failed if its process dies again. Raises the exception of a task.
+        task runs, and has failed if its process dies again. A task also fails if it raises an
+        exception or cannot be pickled.
         """
         stopped = False
+        outcome: Done | Failed | Progress
 
         def notify(index: int, news: Any) -> bool:
             nonlocal stopped
@@ -104,9 +103,12 @@ class ProcessPool(AbstractContextManager):
         if not tasks or (not self._apart and (self.count == 1 or len(tasks) < 2)):
             for index, task in enumerate(tasks):
                 if not stopped:
-                    with one_thread():
-                        result = function(task, partial(notify, index))
-                    yield Done(index, result)
+                    try:
+                        with one_thread():
+                            outcome = Done(index, function(task, partial(notify, index)))
+                    except Exception as error:
+                        outcome = Failed(index, reason_of(error), error)
+                    yield outcome
             return
         if self._pool is None:
             # A task may compute for a long time without checking whether it should stop.
@@ -120,8 +122,12 @@ class ProcessPool(AbstractContextManager):
                 queue, most = (waiting, self.count) if waiting else (again, 1)
                 while queue and len(running) < most and not stopped:
                     index = queue.popleft()
-                    running[index] = Worker(self._pool)
-                    running[index].submit(function, tasks[index])
+                    worker = Worker(self._pool)
+                    try:
+                        worker.submit(function, tasks[index])
+                        running[index] = worker
+                    except (pickle.PicklingError, AttributeError, TypeError) as error:
+                        yield Failed(index, f"it cannot be pickled: {error}", error)
                 self._pool.supervise(LONGEST_PAUSE)
                 for index, worker in list(running.items()):
                     for outcome in worker.collect():
@@ -129,10 +135,11 @@ class ProcessPool(AbstractContextManager):
                             if not notify(index, outcome.value):
                                 for each in running.values():
                                     each.cancel()
-                        elif isinstance(outcome, Failed) and outcome.error is not None:
-                            raise outcome.error
-                        elif isinstance(outcome, Done) or index in last_try:
+                        elif isinstance(outcome, Done) or outcome.error is not None:
                             yield replace(outcome, task=index)
+                        elif index in last_try:
+                            why = f"{outcome.reason} at every attempt: is there enough memory?"
+                            yield Failed(index, why)
                         else:
                             last_try.add(index)
                             again.append(index)
@@ -141,6 +148,52 @@ class ProcessPool(AbstractContextManager):
         except BaseException:
             self.__exit__()
             raise
+
+
+def computed(
+    function: Callable[..., Any],
+    tasks: Sequence[Any],
+    executor: Executor | None = None,
+    workers: int | None = None,
+) -> Generator[Done | Failed, None, None]:
+    """The outcome of ``function(task)`` for each task as soon as it is complete.
+
+    The function runs in the executor, or in ``workers`` processes on this machine (None: one per
+    processor) with a second argument that it may ignore. A task fails if the function raises an
+    exception, the task cannot be pickled, or its process dies repeatedly; no exception of a task
+    or worker is raised. Closing the generator ends the processes, and cancels tasks of the
+    executor that have not started. Raises ValueError if both are given or ``workers`` is invalid.
+    """
+    if executor is None:
+        count = processor_count() if workers is None else workers
+        with ProcessPool(count, apart=True) as pool:
+            pool.count = min(count, len(tasks))  # a process without a task would only load modules
+            yield from pool.outcomes(function, tasks)
+        return
+    if workers is not None:
+        raise ValueError("the executor has its own workers: give workers or an executor, not both")
+    places: dict[Future[Any], int] = {}
+    try:
+        for place, task in enumerate(tasks):
+            try:
+                places[executor.submit(function, task)] = place
+            except Exception as error:  # such as of an executor whose workers have died
+                yield Failed(place, reason_of(error), error)
+        for future in as_completed(places):
+            place = places[future]
+            try:
+                outcome: Done | Failed = Done(place, future.result())
+            except Exception as error:
+                outcome = Failed(place, reason_of(error), error)
+            yield outcome
+    finally:
+        for future in places:
+            future.cancel()
+
+
+def processor_count() -> int:
+    """Number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def run_apart(module: str, function: Callable[..., Any], *args: Any, budget: float) -> Any:
@@ -159,110 +212,3 @@ def run_apart(module: str, function: Callable[..., Any], *args: Any, budget: flo
         raise outcome.error or ChildProcessError(outcome.reason)
     assert isinstance(outcome, Done)
     return outcome.result
-
-
-@dataclass(frozen=True)
-class Workforce:
-    """An executor, and the properties of its workers.
-
-    A future raises one of the exceptions ``loses_with`` if its task has ended several workers.
-    ``end`` releases the executor.
-    """
-
-    executor: Executor
-    loses_with: tuple[type[Exception], ...] = ()
-    end: Callable[[], object] = lambda: None
-
-
-def dask_cluster(address: str) -> Workforce:
-    """The workers of a running Dask cluster, found by the address of its scheduler.
-
-    They need only this package and the paths of the recordings. Raises ValueError if Dask is not
-    installed, and OSError if no scheduler answers or it has no workers.
-    """
-    try:
-        from distributed import Client, KilledWorker
-    except ImportError as error:
-        raise ValueError(
-            "a scheduler was given, but Dask is not installed: pip install distributed==2026.8.0"
-        ) from error
-    try:
-        client: Any = Client(address, set_as_default=False)
-    except OSError as error:
-        raise OSError(f"no Dask scheduler answers at {address}: is it running?") from error
-    if not any(client.nthreads().values()):
-        client.close()
-        raise OSError(f"the Dask scheduler at {address} has no workers: start some")
-    return Workforce(client.get_executor(pure=False), (KilledWorker,), client.close)
-
-
-Document = dict[str, Any]
-
-
-def stored_document(file: Path, fingerprint: str) -> Document | None:
-    """The document of a finished task in its file; None if the task must be run.
-
-    The fingerprint of the task changes with everything on which its result depends.
-    """
-    try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-        document = found["document"] if found["fingerprint"] == fingerprint else None
-    except (OSError, ValueError, TypeError, KeyError):
-        return None
-    return document if isinstance(document, dict) else None
-
-
-def store_document(file: Path, fingerprint: str, document: Document) -> None:
-    """Write the document of a task to its file, completely or not at all. Raises OSError."""
-    entry = {"fingerprint": fingerprint, "document": document}
-    write_text(file, json.dumps(entry, allow_nan=False) + "\n")
-
-
-def file_stem(name: str) -> str:
-    """A readable file name, different for different names."""
-    slug = re.sub(r"[^\w.=+-]+", "_", name).strip("._")[:60]
-    return f"{slug}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
-
-
-def finish(
-    function: Callable[[Task], Document], tasks: Sequence[Task], workers: int | Workforce
-) -> Iterator[tuple[Task, Document | None]]:
-    """Each task with its document, as soon as it is complete.
-
-    ``workers`` is the number of processes on this machine, or a workforce elsewhere. The document
-    is None if the process of the task dies repeatedly. Raises WorkersError if a workforce cannot
-    run tasks at all.
-    """
-    if not isinstance(workers, Workforce):
-        with ProcessPool(workers, apart=True) as pool:
-            for outcome in pool.outcomes(partial(_document, function), tasks):
-                yield tasks[outcome.task], outcome.result if isinstance(outcome, Done) else None
-        return
-    under_way: dict[Future[Document], Task] = {}
-    try:
-        for task in tasks:
-            under_way[workers.executor.submit(_document, function, task)] = task
-        for future in as_completed(under_way):
-            try:
-                document = future.result()
-            except workers.loses_with:
-                document = None
-            except (Exception, CancelledError) as error:
-                why = reason_of(error)
-                raise WorkersError(f"the workers cannot run the tasks: {why}") from error
-            yield under_way.pop(future), document
-    finally:
-        for future in under_way:
-            future.cancel()
-        workers.end()
-
-
-def _document(function: Callable[[Any], Document], argument: Any, *_: Notify) -> Document:
-    with one_thread():  # the process may belong to another program
-        return function(argument)
-
-
-def fingerprint(content: Mapping[str, Any]) -> str:
-    """A short text that changes whenever the content, which must be valid JSON, changes."""
-    text = json.dumps(content, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:24]

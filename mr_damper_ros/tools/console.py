@@ -15,16 +15,15 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import is_dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from mr_damper_ros.api.comparison import FORMATS, ComparedRun, save_figures
 from mr_damper_ros.api.identification import identify
 from mr_damper_ros.estimation.differential_evolution import GlobalProgress
 from mr_damper_ros.processes.exits import FAILED, exit_code
 from mr_damper_ros.processes.files import reason_of, write_text
+from mr_damper_ros.report.status_line import StatusLine
 from mr_damper_ros.settings.option_table import options as table_options
-
-Self = TypeVar("Self", bound="StatusLine")
 
 
 def program(
@@ -250,26 +249,6 @@ def write_result(
         compared = [run.comparison for run in runs]
         written = save_figures(compared, options.plot, options.plot_format)
         print("figures: " + ", ".join(map(str, written)))
-
-
-class StatusLine:
-    """A context with one line that is updated in place, if the output is a terminal."""
-
-    _shown = False
-
-    def __enter__(self: Self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._shown:
-            sys.stderr.write("\n")
-
-    def show(self, text: str) -> None:
-        """Replace the text of the line."""
-        if sys.stderr.isatty():
-            self._shown = True
-            sys.stderr.write(f"\r{text}\033[K")
-            sys.stderr.flush()
 
 
 class ProgressLine(StatusLine):

@@ -21,14 +21,9 @@ from mr_damper_ros.tools import console
 EXPLAINS_TOO_LITTLE = 3
 """Exit code if the NRMSE of a run exceeds the acceptable limit."""
 
-SEARCH_OPTIONS = ("model", "method", "start", "seed", "generations")
-"""Options of every program that identifies."""
-
-SEARCH_CHOICES = {"model": tuple(MODELS), "method": GLOBAL_METHODS}
-
 _OPTIONS = (
-    *SEARCH_OPTIONS,
-    *("strategy", "starts", "workers", "resume", "mass", "fit_mass", "profile"),
+    *("model", "method", "start", "seed", "strategy", "generations", "starts", "workers"),
+    *("resume", "mass", "fit_mass", "profile"),
 )
 
 
@@ -41,7 +36,7 @@ cannot be used; {INTERRUPTED}: Ctrl-C was pressed twice, or after the search.
 
 def _options(parser: argparse.ArgumentParser) -> None:
     console.add_run_options(parser)
-    choices = {**SEARCH_CHOICES, "model": (*MODELS, AUTO), "strategy": STRATEGIES}
+    choices = {"model": (*MODELS, AUTO), "method": GLOBAL_METHODS, "strategy": STRATEGIES}
     console.add_arguments(parser, identify, _OPTIONS, choices)
     parser.add_argument(
         "--level-per-record",

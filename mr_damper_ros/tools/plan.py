@@ -30,8 +30,8 @@ from mr_damper_ros.estimation.experiment_design import (
     PlanState,
     first_run,
 )
+from mr_damper_ros.io.bag_list import find_bags
 from mr_damper_ros.io.bag_reader import read_bag
-from mr_damper_ros.io.recording_list import find_recordings
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
@@ -175,8 +175,7 @@ def _continue_campaign(options: argparse.Namespace, missing: Sequence[str]) -> i
     else:
         task = _task(options)
     # All recordings of the bags, the oldest first.
-    listed = find_recordings(options.bags)[0] if options.bags else []
-    waiting = [recording for entry in listed for recording in read_bag(entry.path)]
+    waiting = [recording for path in find_bags(options.bags) for recording in read_bag(path)]
     waiting.sort(key=lambda recording: recording.start_ns)
     with closing(CampaignCourse(task, folder=options.keep, most_runs=options.runs)) as course:
         _process_recordings(course, waiting)

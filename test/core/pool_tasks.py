@@ -55,22 +55,8 @@ def crash(*arguments: str) -> None:
     os.kill(os.getpid(), signal.SIGSEGV)
 
 
-def journalled(argument: tuple[str, str, float]) -> dict[str, str]:
-    """Write the start into a journal, work for a while, and report to the process."""
-    journal, name, seconds = argument
-    with open(journal, "a", encoding="utf-8") as file:
-        file.write(f"{name}\n")
-    time.sleep(seconds)
-    return {"name": name, "process": str(os.getpid())}
-
-
-def deadly(argument: tuple[str, str, float]) -> dict[str, str]:
-    """Kill its process on every attempt."""
-    document = journalled(argument)
-    if argument[1].startswith("deadly"):
+def deadly(number: int, notify: Notify) -> int:
+    """Kill its process on every attempt at the second task."""
+    if number == 2:
         os.kill(os.getpid(), signal.SIGKILL)
-    return document
-
-
-def unwilling(argument: tuple[str, str, float]) -> dict[str, str]:
-    raise RuntimeError("not here")
+    return number

@@ -7,6 +7,7 @@ import pool_tasks
 import pytest
 
 from mr_damper_ros.processes.process_pool import ProcessPool
+from mr_damper_ros.processes.worker import Done
 
 COUNTS = (1, 2)
 
@@ -53,3 +54,20 @@ def test_a_stop_ends_those_that_run_and_begins_no_other(count: int) -> None:
     begun = [result for result in results if result is not None]
     assert 1 <= len(begun) < 8
     assert set(begun) == {"stopped"}
+
+
+def test_a_task_that_kills_every_process_fails_alone() -> None:
+    with ProcessPool(2) as several:
+        outcomes = {each.task: each for each in several.outcomes(pool_tasks.deadly, [1, 2, 3])}
+    assert outcomes[0] == Done(0, 1)
+    assert outcomes[2] == Done(2, 3)
+    assert "died at every attempt" in outcomes[1].reason
+
+
+def test_a_task_that_cannot_be_pickled_fails_alone() -> None:
+    with ProcessPool(2) as several:
+        outcomes = {
+            each.task: each for each in several.outcomes(pool_tasks.sum_of_seed, [lambda: 1, 5])
+        }
+    assert "cannot be pickled" in outcomes[0].reason
+    assert isinstance(outcomes[1], Done)

@@ -1,4 +1,4 @@
-"""Recordings: invalid ones are rejected with one sentence; recordings by damper."""
+"""Recordings: invalid ones are rejected with one sentence; bags in folders."""
 
 from pathlib import Path
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mr_damper_ros.io.recording_list import ListError, RecordFormat, find_recordings, read_list
+from mr_damper_ros.io.bag_list import BagListError, find_bags
 from mr_damper_ros.signals.recording import NotFiniteError, Recording, RecordingError
 
 TIME = np.arange(100) * 1e-3
@@ -101,97 +101,36 @@ def test_stamps_follow_the_period_to_the_nanosecond() -> None:
     assert made.duration == pytest.approx(100.0 / 3.0)
 
 
-# -- recordings in a folder, and the damper of each ------------------------------------------------
-
-
-def touch(*paths: Path) -> None:
-    for path in paths:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
+# -- bags in a folder ------------------------------------------------------------------------------
 
 
 @pytest.fixture
-def lot(tmp_path: Path) -> Path:
-    """Two dampers with one folder each, bags as folders and files, and other files."""
-    root = tmp_path / "lot"
-    touch(
-        root / "D1" / "slow" / "metadata.yaml",
-        root / "D1" / "slow" / "data.mcap",
-        root / "D1" / "D1_fast.mcap",
-        root / "D2" / "D2_0.5A.mcap",
-        root / "D2" / "D2_1.0A.csv",
-        root / "notes.txt",
-    )
-    return root
+def folder(tmp_path: Path) -> Path:
+    """Bags as folders and files in two folders, and other files."""
+    paths = ("D1/slow/metadata.yaml", "D1/slow/data.mcap", "D1/fast.mcap", "D2/a.mcap", "D2/b.csv")
+    for path in (tmp_path / "all" / each for each in (*paths, "notes.txt")):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    return tmp_path / "all"
 
 
-def names(*sources: Path | str, **options: object) -> dict[str, list[str]]:
-    found, _ = find_recordings(sources, **options)  # type: ignore[arg-type]
-    groups: dict[str, list[str]] = {}
-    for recording in found:
-        groups.setdefault(recording.damper, []).append(recording.path.name)
-    return groups
-
-
-def test_recordings_are_found_and_named_as_asked(lot: Path) -> None:
-    assert names(lot) == {"D1": ["D1_fast.mcap", "slow"], "D2": ["D2_0.5A.mcap"]}
-    assert names(lot / "D2", with_records=True) == {"D2": ["D2_0.5A.mcap", "D2_1.0A.csv"]}
-    assert names(str(lot / "*" / "*.mcap")) == {"D1": ["D1_fast.mcap"], "D2": ["D2_0.5A.mcap"]}
-    assert names(lot, pattern=r"D(\d)/") == {"1": ["D1_fast.mcap", "slow"], "2": ["D2_0.5A.mcap"]}
-    pattern = r"(?P<damper>D\d)_(?P<current>[\d.]+)A"
-    found, left_out = find_recordings([lot], pattern=pattern, with_records=True)
-    assert {r.path.name: r.current for r in found} == {"D2_0.5A.mcap": 0.5, "D2_1.0A.csv": 1.0}
-    assert {entry.path.name for entry in left_out} == {"D1_fast.mcap", "slow", "notes.txt"}
-    assert names(lot, lot / "D2") == names(lot)
+def test_bags_are_found_in_folders_and_patterns(folder: Path) -> None:
+    every = [folder / "D1" / "fast.mcap", folder / "D1" / "slow", folder / "D2" / "a.mcap"]
+    assert sorted(find_bags([folder])) == every
+    assert find_bags([str(folder / "*" / "*.mcap")]) == [every[0], every[2]]
+    assert sorted(find_bags([folder, folder / "D2"])) == every
 
 
 @pytest.mark.parametrize(
-    ("source", "options", "sentence"),
+    ("source", "sentence"),
     [
-        ("nowhere", {}, "there is no "),
-        ("lot/*/none*", {}, "there is no recording in"),
-        ("lot/notes.txt", {}, "there is no recording in"),
-        ("lot", {"pattern": "(D"}, "is not a regular expression"),
-        ("lot", {"pattern": "D."}, "has no group"),
+        ("nowhere", "there is no "),
+        ("all/*/none*", "there is no bag in"),
+        ("all/notes.txt", "there is no bag in"),
     ],
 )
-def test_what_finds_nothing_is_refused_in_a_sentence(
-    lot: Path, source: str, options: dict[str, str], sentence: str
+def test_what_finds_no_bag_is_refused_in_a_sentence(
+    folder: Path, source: str, sentence: str
 ) -> None:
-    with pytest.raises(ListError, match=sentence.replace("(", r"\(")):
-        find_recordings([lot.parent / source], **options)  # type: ignore[arg-type]
-
-
-def test_a_list_names_paths_dampers_and_currents(tmp_path: Path) -> None:
-    file = tmp_path / "runs.csv"
-    file.write_text(
-        "damper,path,current\nA,one.csv,0.5\nB,two,\nA,sub/three.csv,1\nA,four,much\n,five,1\n"
-    )
-    found, left_out = read_list(file)
-    assert [entry.path.name for entry in left_out] == ["four", "five"]
-    assert [(r.damper, r.path, r.current) for r in found] == [
-        ("A", tmp_path / "one.csv", 0.5),
-        ("B", tmp_path / "two", None),
-        ("A", tmp_path / "sub" / "three.csv", 1.0),
-    ]
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["", "path\n1\n", "damper\nA\n", "\x00", "path,damper\n", "path,damper\n1,A\nx/../1,B\n"],
-)
-def test_a_file_that_is_no_list_is_refused(tmp_path: Path, text: str) -> None:
-    file = tmp_path / "runs.csv"
-    file.write_text(text)
-    with pytest.raises(ListError):
-        read_list(file)
-
-
-@pytest.mark.parametrize(("listed", "current"), [(None, 0.5), (1.0, 1.0)])
-def test_the_current_of_a_list_overrides_that_of_the_format(
-    tmp_path: Path, listed: float | None, current: float
-) -> None:
-    file = tmp_path / "run.csv"
-    np.savetxt(file, np.column_stack((np.sin(20.0 * TIME), np.cos(20.0 * TIME))), delimiter=",")
-    read = RecordFormat("displacement:mm,force:N", current=0.5, period=1e-3).read(file, listed)
-    assert set(read.current) == {current}
+    with pytest.raises(BagListError, match=sentence):
+        find_bags([folder.parent / source])

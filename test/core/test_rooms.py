@@ -9,7 +9,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "mr_damper_ros"
 
 ROOMS = (
     *("settings", "processes", "signals", "kinematics", "models", "estimation", "tracking"),
-    *("control", "io", "emulation", "rig", "report", "api", "campaign", "rig_check", "lots"),
+    *("control", "io", "emulation", "rig", "report", "api", "campaign", "rig_check"),
     *("live", "nodes", "tools"),
 )
 """Each room may import only from those before it. The first two know nothing of dampers."""

@@ -1,1 +1,0 @@
-"""Production lots: many dampers from many recordings."""
