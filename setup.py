@@ -106,6 +106,7 @@ setup(
     extras_require={
         "test": ["pytest"],
         "fast": ["numba==0.68.1"],
+        "live": ["aiohttp>=3.9"],
         "files": ["openpyxl==3.1.5", "npTDMS==1.13.0"],
         "serial": ["pyserial==3.5"],
         "daq": ["nidaqmx==1.7.0", "labjack-ljm==1.23.0", "uldaq==1.2.3"],

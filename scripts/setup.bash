@@ -174,9 +174,9 @@ if ! usable .venv "$stamp"; then
     "$python" -m venv --system-site-packages .venv || fail "$python could not make the environment .venv."
     wanted=$(.venv/bin/python - <<'PYTHON'
 from importlib.util import find_spec
-needs = dict(rosbags="rosbags", mcap="mcap", pytest="pytest", hypothesis="hypothesis", lxml="lxml", mypy="mypy",
+needs = dict(aiohttp="aiohttp", rosbags="rosbags", mcap="mcap", pytest="pytest", hypothesis="hypothesis", lxml="lxml", mypy="mypy",
              ruff="ruff", numpy="numpy", scipy="scipy", yaml="PyYAML", matplotlib="matplotlib", cma="cma",
-             threadpoolctl="threadpoolctl", xdist="pytest-xdist")
+             threadpoolctl="threadpoolctl", xdist="pytest-xdist", playwright="playwright")
 needs["yaml-stubs"] = "types-PyYAML"
 print(*(package for module, package in needs.items() if find_spec(module) is None))
 PYTHON

@@ -1,28 +1,23 @@
-"""Web server of the live page and its record, in separate threads.
+"""Web server of the live page and its record, in a thread with its own event loop.
 
 Viewers request new data regularly. A slow viewer receives more data with each request, and no data
-is stored for a disconnected viewer. The server needs only the standard library. The page loads
-nothing from other servers.
+is stored for a disconnected viewer. The page loads nothing from other servers.
 """
 
 from __future__ import annotations
 
-import contextlib
+import asyncio
 import json
-import math
 import re
 import socket
-import sys
 import threading
-import time
 from collections.abc import Callable, Collection, Mapping
-from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler
 from ipaddress import ip_address
 from pathlib import Path
-from socketserver import ThreadingTCPServer
-from typing import Any
-from urllib.parse import parse_qs
+from typing import cast
+
+from aiohttp import web
+from aiohttp.typedefs import Handler
 
 from mr_damper_ros.live.live_record import LiveRecord
 from mr_damper_ros.tracking.acceptance import Verdict
@@ -48,19 +43,22 @@ CONNECTIONS_EACH = 24
 """Largest number of simultaneous connections of one client, so that others can connect."""
 
 _IDLE = 30.0
-"""Time limit [s] for the next request of a connection, and for an answer."""
+"""Time limit [s] for an answer and the next request of a connection."""
 
 _REQUEST = 5.0
 """Longest time [s] from the first byte of a request to the last."""
 
 _LONGEST_BODY = 1000
-_LARGEST_REJECTED_BODY = 1 << 16
-"""Largest number of bytes read from a rejected body. If a connection is closed with unread bytes,
-the answer is lost."""
+"""Largest number of bytes in the body of a request."""
+
+_RECEIVED = 1 << 15
+"""Largest number of bytes received through one connection, which limits the memory for requests.
+
+After half of them, the server asks the client to continue with another connection.
+"""
 
 LOCAL = frozenset({"localhost", "127.0.0.1", "::1"})
 """Hosts to which only this computer can connect."""
-
 
 _NETLOC = re.compile(r"(?:\[([0-9A-Fa-f:.]+(?:%[\w.-]+)?)\]|([\w.-]+))(?::[0-9]{1,5})?", re.ASCII)
 _WHOLE_NUMBER = re.compile(r"-?[0-9]{1,15}", re.ASCII)
@@ -68,13 +66,15 @@ _WHOLE_NUMBER = re.compile(r"-?[0-9]{1,15}", re.ASCII)
 _VERDICTS = {int(verdict): verdict.name.lower().replace("_", " ") for verdict in Verdict}
 """Verdicts in words, by their codes in the table ``windows``."""
 
-_SECURITY = {
+_HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; "
     "style-src 'self' 'unsafe-inline'; frame-ancestors 'none'; base-uri 'none'",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
+    "Server": "mr_damper_ros",
 }
+"""Headers of every answer."""
 
 
 def host_of(netloc: str) -> str:
@@ -100,7 +100,7 @@ Command = Callable[[str, Mapping[str, str]], bool]
 """Handler of a command; receives its name and arguments, returns False if the queue is full."""
 
 
-class PageServer(ThreadingTCPServer):  # an HTTPServer looks up its name, slow without a network
+class PageServer:
     """Serves the page of a record at ``address``; port 0 selects a free port.
 
     The server answers only requests to the names of this computer, to the address of the connection
@@ -112,11 +112,6 @@ class PageServer(ThreadingTCPServer):  # an HTTPServer looks up its name, slow w
     nor an address.
     """
 
-    allow_reuse_address = True
-    daemon_threads = True
-    block_on_close = False
-    request_queue_size = 32
-
     def __init__(
         self,
         record: LiveRecord,
@@ -127,243 +122,218 @@ class PageServer(ThreadingTCPServer):  # an HTTPServer looks up its name, slow w
         command: Command = lambda *_: False,
         allowed_hosts: Collection[str] = (),
     ) -> None:
-        self.record, self.title = record, title
-        self.commands, self.command = tuple(commands), command
+        self._record, self._title = record, title
+        self._commands, self._command = tuple(commands), command
         name = _spelling(socket.gethostname())
         short = name.partition(".")[0]
         own = {*LOCAL, name, short, f"{short}.local", _spelling(host)}
-        self.hosts = own | {host_of(name) for name in allowed_hosts}
-        self.files = {
+        self._hosts = own | {host_of(name) for name in allowed_hosts}
+        self._files = {
             path: ((PAGE / name).read_bytes(), kind) for path, (name, kind) in FILES.items()
         }
-        # Address of each client, and the deadline [s] of its present action.
-        self._open: dict[socket.socket, tuple[str, float]] = {}
-        self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        super().__init__((host, port), _Handler)
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        listening = socket.create_server((host, port), family=family)
         everywhere = host in ("0.0.0.0", "::")
         shown = socket.gethostname() if everywhere else f"[{host}]" if ":" in host else host
-        self.address = f"http://{shown}:{self.server_address[1]}/"
+        self.address = f"http://{shown}:{listening.getsockname()[1]}/"
+        self._loop, self._end = asyncio.new_event_loop(), asyncio.Event()
         self._thread = threading.Thread(
-            target=self.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True
+            target=self._loop.run_until_complete, args=[self._serve(listening)], daemon=True
         )
         self._thread.start()
 
     def close(self) -> None:
         """Stop the server and close all connections."""
-        self.shutdown()
-        self.server_close()
-        self._hang_up(math.inf)
+        self._loop.call_soon_threadsafe(self._end.set)
         self._thread.join()
+        self._loop.close()
 
-    def process_request(self, request: Any, client_address: Any) -> None:
-        """Accept a connection, unless there are too many."""
-        address = _spelling(client_address[0])
-        shared = sum(known == address for known, _ in list(self._open.values()))
-        if len(self._open) >= CONNECTIONS or shared >= CONNECTIONS_EACH:
-            self.shutdown_request(request)
-            return
-        self._open[request] = address, time.monotonic() + _IDLE
-        super().process_request(request, client_address)
+    async def _serve(self, listening: socket.socket) -> None:
+        app = web.Application(middlewares=[self._guard], client_max_size=_LONGEST_BODY)
+        app.add_routes([web.get(path, self._send_file) for path in FILES])
+        app.router.add_get("/status", self._send_status)
+        app.router.add_get("/tables/{name}", self._send_table)
+        app.router.add_post("/seen", self._take_seen)
+        app.router.add_post("/command", self._take_command)
+        runner = web.AppRunner(app)
+        await runner.setup()
+        http, present = runner.server, set[_Connection]()
+        assert http is not None
+        server = await self._loop.create_server(
+            lambda: _Connection(http, self._loop, present), sock=listening
+        )
+        await self._end.wait()
+        server.close()
+        for connection in present:
+            connection.hang_up()
+        await runner.cleanup()
+        for task in asyncio.all_tasks() - {asyncio.current_task()}:
+            task.cancel()
 
-    def grant(self, request: socket.socket, seconds: float) -> None:
-        """Extend the deadline of a connection to ``seconds`` from now."""
-        if request in self._open:
-            self._open[request] = self._open[request][0], time.monotonic() + seconds
-
-    def service_actions(self) -> None:
-        """Close connections past their deadline; called ten times a second."""
-        self._hang_up(time.monotonic())
-
-    def shutdown_request(self, request: Any) -> None:
-        """End a connection."""
-        self._open.pop(request, None)
-        super().shutdown_request(request)
-
-    def _hang_up(self, now: float) -> None:
-        for request, (_, deadline) in list(self._open.items()):
-            if deadline < now:
-                with contextlib.suppress(OSError):
-                    request.shutdown(socket.SHUT_RDWR)
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Report an error; a viewer that disconnects during an answer is not an error."""
-        if not isinstance(sys.exc_info()[1], OSError):
-            super().handle_error(request, client_address)
-
-
-class _RequestError(Exception):
-    """A rejected request, with the HTTP status and a sentence for the client."""
-
-    def __init__(self, sentence: str, status: HTTPStatus = HTTPStatus.BAD_REQUEST) -> None:
-        super().__init__(sentence)
-        self.status = status
-
-
-class _Handler(BaseHTTPRequestHandler):
-    protocol_version = default_request_version = "HTTP/1.1"
-    disable_nagle_algorithm = True
-    wbufsize = 1 << 16  # headers and body are sent together
-    server: PageServer
-
-    def handle_one_request(self) -> None:
-        """Wait for a request and handle it within its time limit."""
-        self.close_connection = True
-        self.server.grant(self.connection, _IDLE)
-        if self.rfile.peek(1):  # type: ignore[attr-defined]
-            self.server.grant(self.connection, _REQUEST)
-            super().handle_one_request()
-
-    def do_GET(self) -> None:
-        """Serve a file of the page, the status or rows of a table, or take what the page posts."""
+    @web.middleware
+    async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        """Read and check a request before its handler, and limit the time of the answer."""
+        answer: web.StreamResponse
         try:
-            body = self._body()
-            self._check_host()
-            if self.command == "POST":
-                self._take_post(body)
-            else:
-                self._read()
-        except _RequestError as error:
-            self._refuse(error.status, str(error))
+            await request.read()
+            self._check_host(request)
+            if request.method not in ("GET", "HEAD"):
+                _check_origin(request)
+            answer = await handler(request)
+        except web.HTTPException as error:
+            answer = _refusal(error.status, error.text or error.reason)
+        answer.headers.update(_HEADERS)
+        connection = cast(_Connection, request.protocol)
+        connection.limit(_IDLE, reading=False)
+        if connection.received > _RECEIVED // 2:
+            answer.force_close()
+        return answer
 
-    do_POST = do_GET  # noqa: N815  # http.server looks for this name
-
-    def _read(self) -> None:
-        (path, query), page = self._target(), self.server
-        if path in page.files:
-            content, kind = page.files[path]
-            self._answer(HTTPStatus.OK, content, kind)
-        elif path == "/status":
-            status = {
-                "title": page.title,
-                "commands": page.commands,
-                "verdicts": _VERDICTS,
-                **page.record.status(_number(query, "windows", 0), _number(query, "marks", 0)),
-            }
-            content = json.dumps(status, separators=(",", ":"), allow_nan=False).encode()
-            self._answer(HTTPStatus.OK, content, "application/json")
-        elif path.startswith("/tables/"):
-            name = path.removeprefix("/tables/")
-            rows = page.record.rows(
-                name, _number(query, "after", -1), _number(query, "generation", -1)
-            )
-            if rows is None:
-                self._answer(HTTPStatus.NO_CONTENT)
-                return
-            self._answer(
-                HTTPStatus.OK,
-                rows.values.astype("<f8", copy=False).tobytes(),
-                "application/octet-stream",
-                {"X-Generation": str(rows.generation), "X-Columns": ",".join(rows.columns)},
-            )
-        else:
-            raise _RequestError("there is nothing here", HTTPStatus.NOT_FOUND)
-
-    def _take_post(self, body: bytes) -> None:
-        """Accept a command or an acknowledgement of faults, only from this page."""
-        self._check_origin()
-        (path, query), page = self._target(), self.server
-        if path == "/seen":
-            page.record.acknowledge(_number({"fault": [body.decode("latin-1")]}, "fault", 0))
-            self._answer(HTTPStatus.NO_CONTENT)
-            return
-        if path != "/command" or not page.commands:
-            raise _RequestError(
-                "the page is read-only: allow_commands is not set", HTTPStatus.FORBIDDEN
-            )
-        name = body.decode("utf-8", "replace")
-        if name not in page.commands:
-            raise _RequestError(f"the commands are {', '.join(page.commands)}")
-        if not page.command(name, {key: values[0] for key, values in query.items()}):
-            raise _RequestError("too many commands are waiting", HTTPStatus.SERVICE_UNAVAILABLE)
-        self._answer(HTTPStatus.ACCEPTED)
-
-    def log_message(self, format: str, *arguments: Any) -> None:
-        """Log nothing, because there are thirty requests a second."""
-
-    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """Send the error that the base class found in a request."""
-        status = HTTPStatus(code)
-        self.close_connection = True
-        self._refuse(status, message or explain or status.phrase)
-
-    def _target(self) -> tuple[str, dict[str, list[str]]]:
-        path, _, query = self.path.partition("?")
-        if not path.startswith("/"):
-            raise _RequestError(f"the target {path!r} of the request does not begin with a slash")
-        return path, parse_qs(query)
-
-    def _body(self) -> bytes:
-        lengths = self.headers.get_all("Content-Length", ["0"])
-        if len(lengths) > 1 or not _WHOLE_NUMBER.fullmatch(lengths[0]) or int(lengths[0]) < 0:
-            raise _RequestError(
-                f"Content-Length must be one whole number, not {', '.join(lengths)!r}"
-            )
-        if "Transfer-Encoding" in self.headers:
-            raise _RequestError("a body needs a Content-Length, and no Transfer-Encoding")
-        body = self.rfile.read(min(int(lengths[0]), _LARGEST_REJECTED_BODY))
-        if int(lengths[0]) > _LONGEST_BODY:
-            raise _RequestError(f"a body may have at most {_LONGEST_BODY} bytes, not {lengths[0]}")
-        return body
-
-    def _check_host(self) -> None:
+    def _check_host(self, request: web.Request) -> None:
         """Reject requests with a foreign host name (DNS rebinding)."""
-        hosts = self.headers.get_all("Host", [])
+        hosts = request.headers.getall("Host", [])
         if len(hosts) != 1:
-            raise _RequestError(f"a request must have one Host, not {len(hosts)}")
-        host = _host_in("Host", hosts[0])
-        own = _spelling(self.connection.getsockname()[0])
-        if host not in self.server.hosts and host != own:
-            raise _RequestError(
-                f"the page is not served as {host}: use localhost, or the name or address of "
-                "the computer that it runs on, or add this name to the parameter allowed_hosts",
-                HTTPStatus.FORBIDDEN,
+            raise web.HTTPBadRequest(text=f"a request must have one Host, not {len(hosts)}")
+        try:
+            host = host_of(hosts[0])
+        except ValueError as error:
+            raise web.HTTPBadRequest(text=f"Host: {error}") from error
+        if host not in self._hosts and host != _address(request, "sockname"):
+            raise web.HTTPForbidden(
+                text=f"the page is not served as {host}: use localhost, or the name or address of "
+                "the computer that it runs on, or add this name to the parameter allowed_hosts"
             )
 
-    def _check_origin(self) -> None:
-        """Reject commands from pages of other sites; requires :meth:`_check_host` first."""
-        origin = self.headers.get("Origin", "")
-        scheme, _, netloc = origin.partition("://")
-        if origin not in ("", "null"):
-            _host_in("Origin", netloc)
-        if scheme not in ("http", "https") or netloc.lower() != self.headers["Host"].lower():
-            raise _RequestError(
-                "commands are accepted only from the page itself", HTTPStatus.FORBIDDEN
-            )
+    async def _send_file(self, request: web.Request) -> web.Response:
+        content, kind = self._files[request.path]
+        return web.Response(body=content, headers={"Content-Type": kind})
 
-    def _refuse(self, status: HTTPStatus, sentence: str) -> None:
-        # The connection is closed, because further bytes may belong to the malformed request.
-        self.close_connection |= status == HTTPStatus.BAD_REQUEST
-        self._answer(status, f"{sentence}\n".encode(), "text/plain; charset=utf-8")
+    async def _send_status(self, request: web.Request) -> web.Response:
+        status = {
+            "title": self._title,
+            "commands": self._commands,
+            "verdicts": _VERDICTS,
+            **self._record.status(_number(request, "windows", 0), _number(request, "marks", 0)),
+        }
+        text = json.dumps(status, separators=(",", ":"), allow_nan=False)
+        return web.Response(text=text, content_type="application/json")
 
-    def _answer(
-        self,
-        status: HTTPStatus,
-        body: bytes = b"",
-        kind: str = "",
-        extra: dict[str, str] | None = None,
-    ) -> None:
-        self.send_response_only(status)
-        for name, value in {**_SECURITY, **(extra or {})}.items():
-            self.send_header(name, value)
-        if kind:
-            self.send_header("Content-Type", kind)
-        if self.close_connection:
-            self.send_header("Connection", "close")
-        if status != HTTPStatus.NO_CONTENT:
-            self.send_header("Content-Length", str(len(body)))
-        self.end_headers()
-        self.wfile.write(body)
+    async def _send_table(self, request: web.Request) -> web.Response:
+        after, generation = _number(request, "after", -1), _number(request, "generation", -1)
+        rows = self._record.rows(request.match_info["name"], after, generation)
+        if rows is None:
+            return web.Response(status=204)
+        return web.Response(
+            body=rows.values.astype("<f8", copy=False).tobytes(),
+            headers={"X-Generation": str(rows.generation), "X-Columns": ",".join(rows.columns)},
+        )
 
+    async def _take_seen(self, request: web.Request) -> web.Response:
+        """Acknowledge the faults up to the number in the body."""
+        self._record.acknowledge(_whole_number("fault", await request.text()))
+        return web.Response(status=204)
 
-def _host_in(header: str, netloc: str) -> str:
-    try:
-        return host_of(netloc)
-    except ValueError as error:
-        raise _RequestError(f"{header}: {error}") from None
+    async def _take_command(self, request: web.Request) -> web.Response:
+        if not self._commands:
+            raise web.HTTPForbidden(text="the page is read-only: allow_commands is not set")
+        name = (await request.read()).decode("utf-8", "replace")
+        if name not in self._commands:
+            raise web.HTTPBadRequest(text=f"the commands are {', '.join(self._commands)}")
+        if not self._command(name, {**request.query}):
+            raise web.HTTPServiceUnavailable(text="too many commands are waiting")
+        return web.Response(status=202)
 
 
-def _number(query: dict[str, list[str]], name: str, default: int) -> int:
-    text = query.get(name, [str(default)])[0]
+def _check_origin(request: web.Request) -> None:
+    """Reject commands from pages of other sites; requires a valid Host."""
+    own = request.headers["Host"].lower()
+    if request.headers.get("Origin", "").lower() not in (f"http://{own}", f"https://{own}"):
+        raise web.HTTPForbidden(text="commands are accepted only from the page itself")
+
+
+def _number(request: web.Request, name: str, default: int) -> int:
+    return _whole_number(name, request.query.get(name, str(default)))
+
+
+def _whole_number(name: str, text: str) -> int:
     if not _WHOLE_NUMBER.fullmatch(text):
-        raise _RequestError(f"{name} must be a whole number, not {text!r}")
+        raise web.HTTPBadRequest(text=f"{name} must be a whole number, not {text!r}")
     return int(text)
+
+
+def _refusal(status: int, sentence: str) -> web.Response:
+    answer = web.Response(status=status, text=f"{sentence}\n", headers=_HEADERS)
+    if status == 400:  # further bytes may belong to the malformed request
+        answer.force_close()
+    return answer
+
+
+def _address(peer: web.Request | asyncio.BaseTransport, end: str) -> str:
+    """The address of an ``end`` of a connection: "sockname" or "peername"."""
+    return _spelling((peer.get_extra_info(end) or ("",))[0])
+
+
+class _Connection(web.RequestHandler):
+    """A connection with the limits that aiohttp lacks: of its time, its bytes and its number."""
+
+    def __init__(
+        self, server: web.Server, loop: asyncio.AbstractEventLoop, present: set[_Connection]
+    ) -> None:
+        super().__init__(server, loop=loop, access_log=None)  # type: ignore[arg-type]
+        self._call_later, self._present = loop.call_later, present
+        self._deadline = loop.call_later(_IDLE, self.hang_up)
+        self._reading = False
+        self.received = 0
+        """Number of bytes received."""
+
+    def limit(self, seconds: float, *, reading: bool) -> None:
+        """Set the time limit of reading a request, or of its answer and the wait for the next."""
+        self._reading = reading
+        self._deadline.cancel()
+        self._deadline = self._call_later(seconds, self.hang_up)
+
+    def hang_up(self) -> None:
+        """End the connection, whatever is still to be sent."""
+        if self.transport is not None:
+            self.transport.abort()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Begin, unless there are too many connections."""
+        self.address = _address(transport, "peername")
+        shared = sum(other.address == self.address for other in self._present)
+        if len(self._present) >= CONNECTIONS or shared >= CONNECTIONS_EACH:
+            cast(asyncio.Transport, transport).abort()
+            return
+        self._present.add(self)
+        super().connection_made(transport)
+
+    def connection_lost(self, exc: BaseException | None) -> None:
+        """Make room for another connection."""
+        self._present.discard(self)
+        self._deadline.cancel()
+        super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        """Read a part of a request."""
+        self.received += len(data)
+        if self.received > _RECEIVED:
+            self.hang_up()
+            return
+        if not self._reading:
+            self.limit(_REQUEST, reading=True)
+        try:
+            super().data_received(data)
+        except ValueError:  # aiohttp 3.9 fails on the target http://[
+            self.hang_up()
+
+    def handle_error(
+        self,
+        request: web.BaseRequest,
+        status: int = 500,
+        exc: BaseException | None = None,
+        message: str | None = None,
+    ) -> web.StreamResponse:
+        """Answer a malformed request; an error of this program is also logged."""
+        if status == 500 and not isinstance(exc, OSError):
+            return super().handle_error(request, status, exc, message)
+        return _refusal(400, "this is not a valid HTTP request")

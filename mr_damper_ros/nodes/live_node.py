@@ -249,7 +249,7 @@ class LiveParameters(ParameterTable):
 
 
 class LiveNode(Node):
-    """Stores the messages of the other nodes; threads of the page's server read them."""
+    """Stores the messages of the other nodes; the thread of the page's server reads them."""
 
     def __init__(self) -> None:
         super().__init__("live")
@@ -310,7 +310,7 @@ class LiveNode(Node):
         return 0.1
 
     def _take_command(self, name: str, arguments: Mapping[str, str]) -> bool:
-        """Queue a command from a thread of the server; returns False if the queue is full."""
+        """Queue a command from the thread of the server; returns False if the queue is full."""
         if len(self._waiting) >= 4:
             return False
         self._waiting.append((name, arguments))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 
 _PIP_NAMES = {
-    **{name: name for name in ("matplotlib", "mcap", "numpy", "rosbags", "scipy")},
+    **{name: name for name in ("aiohttp", "matplotlib", "mcap", "numpy", "rosbags", "scipy")},
     "yaml": "PyYAML",
 }
 """Python packages that this package needs, by module."""

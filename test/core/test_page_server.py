@@ -113,59 +113,36 @@ def test_another_name_is_refused_whatever_is_asked(
     assert b"allowed_hosts" in body
 
 
-class Answer:
-    """Answer of a server that then closes the connection; status 0 if there is none."""
+def raw(server: PageServer, request: bytes) -> tuple[int, str]:
+    """Status and body of the answer to a raw request; status 0 if there is none."""
+    with socket.create_connection(place_of(server), timeout=PATIENCE) as sent:
+        sent.sendall(request)
+        answer = http.client.HTTPResponse(sent)
+        try:
+            answer.begin()
+        except ConnectionError:
+            return 0, ""
+        assert answer.will_close, "further bytes may belong to the malformed request"
+        return answer.status, answer.read().decode()
 
-    def __init__(self, said: bytes) -> None:
-        self.said = said
-        self.status = int(said.split()[1]) if said.startswith(b"HTTP/1.1 ") else 0
-        self.body = said.partition(b"\r\n\r\n")[2].decode("utf-8", "replace")
 
-
-def raw(address: tuple[str, int], head: bytes, body: bytes = b"") -> Answer:
-    """Send a raw request and nothing after it."""
-    with socket.create_connection(address, timeout=PATIENCE) as sent:
-        with suppress(ConnectionError):
-            sent.sendall(head + b"\r\n" + body)
-            sent.shutdown(socket.SHUT_WR)
-        said = b""
-        with suppress(ConnectionError):
-            while part := sent.recv(1 << 16):
-                said += part
-    return Answer(said)
-
+LOCALHOST = b" HTTP/1.1\r\nHost: localhost\r\n"
 
 MALFORMED = {
-    "no host": (b"GET / HTTP/1.1\r\n", "one Host"),
-    "two hosts": (b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: localhost\r\n", "one Host"),
-    "open bracket": (b"GET / HTTP/1.1\r\nHost: [\r\n", "neither a name nor an address"),
-    "target with host": (b"GET http://[ HTTP/1.1\r\nHost: localhost\r\n", "not begin with a slash"),
-    "words for rows": (
-        b"GET /tables/signals?after=ten HTTP/1.1\r\nHost: localhost\r\n",
-        "after must be a whole number",
-    ),
-    "raised length": (
-        "POST /command HTTP/1.1\r\nHost: localhost\r\nContent-Length: ²\r\n".encode("latin-1"),
-        "Content-Length must be one whole number",
-    ),
-    "two lengths": (
-        b"GET / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 0\r\nContent-Length: 1\r\n",
-        "Content-Length must be one whole number",
-    ),
-    "long body": (
-        b"POST /command HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1001\r\n",
-        "at most 1000 bytes",
-    ),
-    "chunks": (
-        b"POST /command HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n",
-        "Transfer-Encoding",
-    ),
-    "origin": (
-        b"POST /command HTTP/1.1\r\nHost: localhost\r\nOrigin: http://[\r\n",
-        "neither a name nor an address",
-    ),
-    "version": (b"GET / HTTP/one\r\nHost: localhost\r\n", "version"),
-    "one word": (b"GET\r\nHost: localhost\r\n", "syntax"),
+    "no host": b"GET / HTTP/1.1\r\n",
+    "two hosts": b"GET /" + LOCALHOST + b"Host: localhost\r\n",
+    "open bracket": b"GET / HTTP/1.1\r\nHost: [\r\n",
+    "words for rows": b"GET /tables/signals?after=ten" + LOCALHOST,
+    "raised length": b"POST /command" + LOCALHOST + "Content-Length: ²\r\n".encode("latin-1"),
+    "two lengths": b"GET /" + LOCALHOST + b"Content-Length: 0\r\nContent-Length: 1\r\n",
+    "length and chunks": b"POST /command"
+    + LOCALHOST
+    + b"Content-Length: 5\r\nTransfer-Encoding: chunked\r\n",
+    "long target": b"GET /" + 9000 * b"a" + LOCALHOST,
+    "long field": b"GET /" + LOCALHOST + b"X: " + 9000 * b"a" + b"\r\n",
+    "version": b"GET / HTTP/one\r\nHost: localhost\r\n",
+    "one word": b"GET\r\nHost: localhost\r\n",
+    "not HTTP": b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03\r\n",
 }
 
 
@@ -173,11 +150,17 @@ MALFORMED = {
 def test_what_is_malformed_is_refused_in_a_sentence(
     server: PageServer, capfd: pytest.CaptureFixture[str], name: str
 ) -> None:
-    head, sentence = MALFORMED[name]
-    answer = raw(place_of(server), head)
-    assert answer.status == 400
-    assert sentence in answer.body
-    assert len(answer.body.splitlines()) == 1
+    status, sentence = raw(server, MALFORMED[name] + b"\r\n")
+    assert status == 400
+    assert len(sentence.splitlines()) == 1
+    assert capfd.readouterr().err == ""
+
+
+def test_a_malformed_target_ends_the_connection(
+    server: PageServer, capfd: pytest.CaptureFixture[str]
+) -> None:
+    status, _ = raw(server, b"GET http://[" + LOCALHOST + b"\r\n")
+    assert status in (0, 400), "aiohttp 3.9 cannot answer it"
     assert capfd.readouterr().err == ""
 
 
@@ -228,8 +211,10 @@ def test_a_command_reaches_the_node_as_long_as_there_is_room(
     [
         (b"format", {}, 400),
         (b"", {}, 400),
-        (b"x" * 2000, {}, 400),
+        (b"x" * 1001, {}, 413),
         (b"reset", {"Origin": "http://elsewhere.example"}, 403),
+        (b"reset", {"Origin": "http://["}, 403),
+        (b"reset", {"Origin": "null"}, 403),
         (b"reset", {"Origin": ""}, 403),
         (b"reset", {"Host": "elsewhere.example", "Origin": "http://elsewhere.example"}, 403),
     ],
@@ -268,21 +253,91 @@ def eventually_served(server: PageServer) -> bool:
     return False
 
 
+def connected(server: PageServer, address: str) -> http.client.HTTPConnection:
+    """A connection from an address of this computer that has been answered."""
+    asked = http.client.HTTPConnection(*place_of(server), PATIENCE, (address, 0))
+    asked.request("GET", "/status")
+    assert asked.getresponse().read()
+    return asked
+
+
 def test_one_address_has_its_share_of_connections_and_leaves_room_for_others(
     server: PageServer,
 ) -> None:
     with ExitStack() as stack:
         for _ in range(page_server.CONNECTIONS_EACH):
-            asked = stack.enter_context(closing(connection(server)))
-            asked.request("GET", "/status")
-            assert asked.getresponse().read()
+            stack.enter_context(closing(connected(server, "127.0.0.1")))
         with pytest.raises(ConnectionError):
-            ask(server, "/status")
-        other = http.client.HTTPConnection(*place_of(server), PATIENCE, ("127.0.0.2", 0))
-        with closing(other):
-            other.request("GET", "/status")
-            assert other.getresponse().status == 200
+            connected(server, "127.0.0.1")
+        stack.enter_context(closing(connected(server, "127.0.0.2")))
     assert eventually_served(server), "places that were left are not taken again"
+
+
+def test_all_addresses_together_have_a_limit(server: PageServer) -> None:
+    with ExitStack() as stack:
+        for number in range(page_server.CONNECTIONS):
+            address = f"127.0.0.{2 + number // page_server.CONNECTIONS_EACH}"
+            stack.enter_context(closing(connected(server, address)))
+        with pytest.raises(ConnectionError):
+            connected(server, "127.0.0.1")
+    assert eventually_served(server), "places that were left are not taken again"
+
+
+@pytest.mark.parametrize("sent", [b"", 100 * (b"GET /uplot.js" + LOCALHOST + b"\r\n")])
+def test_clients_that_ask_or_read_nothing_are_given_up(
+    record: LiveRecord, monkeypatch: pytest.MonkeyPatch, sent: bytes
+) -> None:
+    monkeypatch.setattr(page_server, "_IDLE", 0.3)
+    with closing(PageServer(record, "127.0.0.1", 0)) as server, ExitStack() as stack:
+        for _ in range(page_server.CONNECTIONS_EACH):
+            stuck = stack.enter_context(socket.socket())
+            stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            stuck.connect(place_of(server))
+            stuck.sendall(sent)
+        assert eventually_served(server)
+
+
+FLOODS = {
+    "requests": (b"", b"GET /tables/parameters" + LOCALHOST + b"\r\n"),
+    "fields": (b"GET /" + LOCALHOST, b"X: y\r\n"),
+    "body": (b"POST /command" + LOCALHOST + b"Content-Length: 1000000000\r\n\r\n", b"x"),
+    "chunks": (
+        b"POST /command" + LOCALHOST + b"Transfer-Encoding: chunked\r\n\r\n",
+        b"3e8\r\n" + 1000 * b"x" + b"\r\n",
+    ),
+    "after an upgrade": (
+        b"GET /status" + LOCALHOST + b"Connection: Upgrade\r\nUpgrade: websocket\r\n\r\n",
+        b"x",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FLOODS)
+def test_a_flood_ends_its_connection_alone(
+    server: PageServer, capfd: pytest.CaptureFixture[str], name: str
+) -> None:
+    begin, piece = FLOODS[name]
+    with closing(connected(server, "127.0.0.1")) as other:
+        with socket.create_connection(place_of(server), timeout=PATIENCE) as flooding:
+            flooding.sendall(begin)
+            with pytest.raises(ConnectionError):
+                repeat(flooding, (4096 // len(piece) + 1) * piece, 0.01)
+        other.request("GET", "/status")
+        assert other.getresponse().status == 200
+    assert capfd.readouterr().err == ""
+
+
+def test_a_long_connection_is_continued_by_another(server: PageServer) -> None:
+    with closing(connection(server)) as asked:
+        count, ended = 0, False
+        while not ended and count < 3000:
+            asked.request("GET", "/tables/parameters")
+            answer = asked.getresponse()
+            assert (answer.status, answer.read()) == (204, b"")
+            count, ended = count + 1, answer.will_close
+        assert 50 < count < 3000
+        asked.request("GET", "/status")  # this opens another connection
+        assert asked.getresponse().status == 200
 
 
 @pytest.mark.parametrize(
@@ -300,15 +355,15 @@ def test_a_request_that_comes_byte_by_byte_is_given_up(
     with socket.create_connection(place_of(server), timeout=PATIENCE) as slow:
         slow.sendall(begun)
         with pytest.raises(ConnectionError):
-            dribble(slow)
+            repeat(slow, b"x", 0.1)
 
 
-def dribble(slow: socket.socket) -> None:
-    """Send a byte ten times per second; raises ConnectionError once the server has closed."""
+def repeat(connected: socket.socket, piece: bytes, seconds: float) -> None:
+    """Send a piece again and again; raises ConnectionError once the server has closed."""
     pause = threading.Event()
     for _ in range(300):
-        pause.wait(0.1)
-        slow.sendall(b"x")
+        pause.wait(seconds)
+        connected.sendall(piece)
 
 
 def test_it_is_gone_once_it_is_closed(record: LiveRecord) -> None:
