@@ -131,8 +131,10 @@ class PageServer:
         self._files = {
             path: ((PAGE / name).read_bytes(), kind) for path, (name, kind) in FILES.items()
         }
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        listening = socket.create_server((host, port), family=family)
+        family, both = socket.AF_INET, False
+        if ":" in host:
+            family, both = socket.AF_INET6, socket.has_dualstack_ipv6()
+        listening = socket.create_server((host, port), family=family, dualstack_ipv6=both)
         everywhere = host in ("0.0.0.0", "::")
         shown = socket.gethostname() if everywhere else f"[{host}]" if ":" in host else host
         self.address = f"http://{shown}:{listening.getsockname()[1]}/"

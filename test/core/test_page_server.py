@@ -113,6 +113,16 @@ def test_another_name_is_refused_whatever_is_asked(
     assert b"allowed_hosts" in body
 
 
+@pytest.mark.skipif(not socket.has_dualstack_ipv6(), reason="there is no IPv6 here")
+@pytest.mark.parametrize("client", ["127.0.0.1", "::1"])
+def test_all_addresses_of_both_kinds_are_served(record: LiveRecord, client: str) -> None:
+    with closing(PageServer(record, "::", 0)) as server:
+        port = urlsplit(server.address).port
+        with closing(http.client.HTTPConnection(client, port, timeout=PATIENCE)) as asked:
+            asked.request("GET", "/status")
+            assert asked.getresponse().status == 200
+
+
 def raw(server: PageServer, request: bytes) -> tuple[int, str]:
     """Status and body of the answer to a raw request; status 0 if there is none."""
     with socket.create_connection(place_of(server), timeout=PATIENCE) as sent:
