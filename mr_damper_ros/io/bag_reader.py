@@ -310,17 +310,20 @@ def _items(bag: OpenBag, maximum_samples: int) -> Iterator[StreamItem]:
     temperature = bag.topic(*TOPICS[TemperatureReading], required=False)
     left = maximum_samples
     for topic, message in bag.decoded({samples, current, temperature} - {""}):
-        stamp_ns = stamp_of(message)
-        if topic == current:
-            yield CurrentReading(stamp_ns, float(message.current))
-        elif topic == temperature:
-            yield TemperatureReading(stamp_ns, float(message.temperature))
-        else:
-            block = _block(message, stamp_ns, bag.name, topic)
-            left -= block.sample_count
-            if left < 0:
-                raise BagError(f"the bag '{bag.name}' is too large: split it with ros2 bag convert")
-            yield block
+        # A damaged definition in the bag gives messages with other fields.
+        with failures_in_words(bag.name):
+            stamp_ns = stamp_of(message)
+            item: StreamItem
+            if topic == current:
+                item = CurrentReading(stamp_ns, float(message.current))
+            elif topic == temperature:
+                item = TemperatureReading(stamp_ns, float(message.temperature))
+            else:
+                item = _block(message, stamp_ns, bag.name, topic)
+                left -= item.sample_count
+        if left < 0:
+            raise BagError(f"the bag '{bag.name}' is too large: split it with ros2 bag convert")
+        yield item
 
 
 def _block(message: Any, stamp_ns: int, bag: str, topic: str) -> SampleBlock:

@@ -56,6 +56,16 @@ def test_a_file_without_checksums_is_read(bag: Path) -> None:
     assert read_bag(bag)[0].sample_count == 300
 
 
+def test_a_damaged_definition_without_checksums_is_said(bag: Path) -> None:
+    file = bag / "bag.mcap"
+    whole = bytearray(file.read_bytes().replace(b"float64 period", b"float64 perjod"))
+    for place in checksum_places(whole):
+        whole[place : place + 4] = bytes(4)
+    file.write_bytes(bytes(whole))
+    with pytest.raises(BagError, match="is damaged"):
+        read_bag(bag)
+
+
 PACKERS = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}
 
 
