@@ -16,7 +16,6 @@ from pathlib import Path
 
 from mr_damper_ros.io.bag_reader import OpenBag, bag_stream, opened_bag, stamp_of
 from mr_damper_ros.live.live_record import LiveRecord
-from mr_damper_ros.live.page_server import PageServer
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.programs import node_arguments
 from mr_damper_ros.signals.blocks import NANOSECONDS
@@ -127,6 +126,8 @@ def _show(options: argparse.Namespace) -> int:
 
 
 def _show_bag(options: argparse.Namespace) -> int:
+    from mr_damper_ros.live.page_server import PageServer  # aiohttp is an optional package
+
     start = None if options.parameters is None else read_parameter_file(options.parameters)
     record = empty_record(options.bag)
     with closing(PageServer(record, "127.0.0.1", options.port)) as server:

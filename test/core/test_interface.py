@@ -52,7 +52,7 @@ def test_using_every_name_changes_no_environment_variable_and_needs_no_ros() -> 
 def test_without_an_installation_the_programs_are_refused_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "mr_damper_ros").symlink_to(ROOT / "mr_damper_ros")
     command, there = [sys.executable, "-S", "-m", "mr_damper_ros"], {"PYTHONPATH": str(tmp_path)}
-    done = subprocess.run(command, env=there, capture_output=True, check=False)
+    done = subprocess.run(command, cwd=tmp_path, env=there, capture_output=True, check=False)
     assert (done.returncode, done.stderr.count(b"\n")) == (2, 1)
 
 
