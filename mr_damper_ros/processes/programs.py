@@ -37,6 +37,12 @@ def signal_at_death_of(parent: int, number: signal.Signals) -> None:
         os.kill(os.getpid(), number)
 
 
+def _prepare(parent: int) -> None:
+    # In background jobs of a script, Ctrl-C is ignored, and the program would inherit this.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal_at_death_of(parent, signal.SIGTERM)
+
+
 class Program:
     """A running program; its output is kept in memory, so that it never blocks.
 
@@ -60,7 +66,7 @@ class Program:
                 stderr=self._stderr,
                 env={**os.environ, **(environment or {})},
                 start_new_session=True,
-                preexec_fn=partial(signal_at_death_of, os.getpid(), signal.SIGTERM),
+                preexec_fn=partial(_prepare, os.getpid()),
             )
             # If this process fails, the program and its children must not continue.
             atexit.register(self._process.kill)

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pool_tasks
@@ -100,6 +101,19 @@ def test_one_that_is_asked_to_stop_ends_by_an_interrupt(waiting: Program) -> Non
     assert waiting.stop() == -signal.SIGINT
     assert "KeyboardInterrupt" in waiting.errors
     assert not waiting.running
+
+
+def test_one_that_is_asked_to_stop_ends_also_in_a_background_job() -> None:
+    """A shell without job control lets its background jobs ignore SIGINT."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        program = Program([sys.executable, "-c", WAITS])
+    finally:
+        signal.signal(signal.SIGINT, before)
+    with closing(program):
+        program.wait_for_log("ready")
+        program.stop(patience=PATIENCE)
+        assert "KeyboardInterrupt" in program.errors
 
 
 def test_one_that_does_not_end_is_killed() -> None:
