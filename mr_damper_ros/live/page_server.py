@@ -232,13 +232,13 @@ class PageServer:
 
     async def _take_seen(self, request: web.Request) -> web.Response:
         """Acknowledge the faults up to the number in the body."""
-        self._record.acknowledge(_whole_number("fault", await request.text()))
+        self._record.acknowledge(_whole_number("fault", await _body(request)))
         return web.Response(status=204)
 
     async def _take_command(self, request: web.Request) -> web.Response:
         if not self._commands:
             raise web.HTTPForbidden(text="the page is read-only: allow_commands is not set")
-        name = (await request.read()).decode("utf-8", "replace")
+        name = await _body(request)
         if name not in self._commands:
             raise web.HTTPBadRequest(text=f"the commands are {', '.join(self._commands)}")
         if not self._command(name, {**request.query}):
@@ -251,6 +251,11 @@ def _check_origin(request: web.Request) -> None:
     own = request.headers["Host"].lower()
     if request.headers.get("Origin", "").lower() not in (f"http://{own}", f"https://{own}"):
         raise web.HTTPForbidden(text="commands are accepted only from the page itself")
+
+
+async def _body(request: web.Request) -> str:
+    # Unlike request.text(), which raises an exception for a wrong or unknown encoding.
+    return (await request.read()).decode("utf-8", "replace")
 
 
 def _number(request: web.Request, name: str, default: int) -> int:

@@ -237,6 +237,18 @@ def test_a_command_from_elsewhere_or_unknown_is_refused(
     assert taken == []
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "unknown", "hex"])
+@pytest.mark.parametrize("path", ["/command", "/seen"])
+def test_a_body_that_is_no_text_is_refused_in_a_sentence(
+    commanded: PageServer, capfd: pytest.CaptureFixture[str], path: str, encoding: str
+) -> None:
+    headers = {**own(commanded), "Content-Type": f"text/plain; charset={encoding}"}
+    answer, body = ask(commanded, path, "POST", b"\xff", headers)
+    assert answer.status == 400
+    assert len(body.decode().splitlines()) == 1
+    assert capfd.readouterr().err == ""
+
+
 def test_a_viewer_that_reads_nothing_holds_up_nobody(
     server: PageServer, record: LiveRecord
 ) -> None:
