@@ -116,6 +116,8 @@ def _options(parser: argparse.ArgumentParser) -> None:
 
 def _show(options: argparse.Namespace) -> int:
     if options.bag is not None:
+        if options.namespace != "/":
+            raise ValueError("--namespace is for a running system: omit --bag or --namespace")
         return _show_bag(options)
     if options.parameters is not None:
         raise ValueError("--parameters is for a recording: give it with --bag, or omit it")

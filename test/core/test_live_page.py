@@ -405,6 +405,7 @@ def test_a_recording_is_opened_on_the_page(tab: Page) -> None:
     [
         (live.main, ["--bag", "none", "--port", "0"], "mr-damper live: there is no bag at none"),
         (live.main, ["--bag", "none", "--port", "65536"], "'65536' is not a port"),
+        (live.main, ["--bag", "none", "--namespace", "/a"], "--namespace is for a running system"),
         (watch.main, ["--namespace", "a b"], "'a b' is not a namespace such as /rig1"),
     ],
 )
