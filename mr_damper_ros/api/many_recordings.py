@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
 from contextlib import closing
@@ -58,7 +59,7 @@ def identify_many(
     ``report`` receives each result and the numbers of results and recordings (default: a line on
     the terminal). Only an option that cannot apply raises an exception, ValueError or TypeError.
     """
-    if isinstance(recordings, str) or {"displacement", "resume"} & options.keys():
+    if isinstance(recordings, (str, os.PathLike)) or {"displacement", "resume"} & options.keys():
         raise ValueError("a single path, arrays, or resume are for identify: give a list of runs")
     inspect.signature(identify).bind(**options)
     tasks = [(flat_runs([recording]), options) for recording in recordings]

@@ -130,6 +130,7 @@ def test_a_row_is_plain_json(found: list[mr.IdentifiedRecording]) -> None:
     ("recordings", "options", "error"),
     [
         ("bags/run", {}, ValueError),
+        (Path("bags/run"), {}, ValueError),
         (BAD, {"resume": "progress.json"}, ValueError),
         (BAD, {"displacement": np.zeros(9)}, ValueError),
         (BAD, {"metod": "global"}, TypeError),
