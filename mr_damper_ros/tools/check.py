@@ -24,7 +24,7 @@ def _check(options: argparse.Namespace) -> int:
     from mr_damper_ros.nodes.observer import Observer, record_rig
 
     record = RigRecord()
-    with Observer("check_rig", namespace=options.namespace) as observer:
+    with Observer("check", namespace=options.namespace) as observer:
         record_rig(observer.node, record)
         observer.spin_for(options.seconds)
     check = check_rig(record)
