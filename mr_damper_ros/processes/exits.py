@@ -11,16 +11,18 @@ from mr_damper_ros.processes.dependencies import missing_dependency
 FAILED = 2
 """Exit code if the input, the options or the installation are invalid."""
 
-INTERRUPTED, TERMINATED = 130, 143
-"""Exit codes after Ctrl-C and after SIGTERM, as in shells."""
+INTERRUPTED, UNREAD, TERMINATED = 130, 141, 143
+"""Exit codes after Ctrl-C, a closed output (SIGPIPE) and SIGTERM, as in shells."""
 
 
 def exit_code(name: str, run: Callable[[], int], interrupted: int = INTERRUPTED) -> int:
     """Call the function of a program, and return its exit code.
 
-    Ctrl-C gives the code ``interrupted``, with a message if this is no success. A missing
-    dependency gives one sentence and the code :data:`FAILED`.
+    Ctrl-C gives the code ``interrupted``, with a message if this is no success. If the reader of
+    the output closes it before the end, the code is :data:`UNREAD`, or 0 if ``interrupted`` is 0. A
+    missing dependency gives one sentence and the code :data:`FAILED`.
     """
+    code = None
     try:
         code = run()
         sys.stdout.flush()
@@ -32,7 +34,9 @@ def exit_code(name: str, run: Callable[[], int], interrupted: int = INTERRUPTED)
     except BrokenPipeError:
         # The reader has closed the pipe; without this, Python would fail in its final flush.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        if code is None:  # files that follow the output are missing
+            return UNREAD if interrupted else 0
+        return code
     except ModuleNotFoundError as error:
         sentence = missing_dependency(error)
         if not sentence:

@@ -15,7 +15,7 @@ from mr_damper_ros.estimation.experiment_design import MachineLimits
 from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
 from mr_damper_ros.estimation.record_levels import USUAL_SPREAD
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.processes.exits import FAILED, INTERRUPTED
+from mr_damper_ros.processes.exits import FAILED, INTERRUPTED, UNREAD
 from mr_damper_ros.tools import console
 
 EXPLAINS_TOO_LITTLE = 3
@@ -30,7 +30,8 @@ _OPTIONS = (
 _EPILOG = f"""\
 Exit code: 0: success; {EXPLAINS_TOO_LITTLE}: the NRMSE of a run exceeds
 {100 * LARGEST_RUN_NRMSE:.0f} %, all results are written; {FAILED}: a bag or an option
-cannot be used; {INTERRUPTED}: Ctrl-C was pressed twice, or after the search.
+cannot be used; {INTERRUPTED}: Ctrl-C was pressed twice, or after the search;
+{UNREAD}: the output was closed before its end, and files may be missing.
 """
 
 

@@ -127,6 +127,26 @@ def test_a_reader_that_has_enough_is_no_error(node: str) -> None:
     assert (done.returncode, done.stderr) == (0, b"")
 
 
+@pytest.mark.parametrize(("arguments", "code"), [(["--json", "result.json"], 141), (["--help"], 0)])
+def test_a_command_that_could_not_write_all_its_output_fails(
+    arguments: list[str], code: int, tmp_path: Path
+) -> None:
+    bag = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "wb") as closed:
+        done = subprocess.run(
+            [installed_programs() / "mr-damper", "identify", bag, *arguments],
+            cwd=tmp_path,
+            stdout=closed,
+            stderr=subprocess.PIPE,
+            timeout=60,
+            check=False,
+        )
+    assert (done.returncode, done.stderr) == (code, b"")
+    assert not list(tmp_path.iterdir())
+
+
 def test_identifier_and_model_say_what_they_wait_for(start: Any, tmp_path: Path) -> None:
     identifier = start("identifier", remap={"__ns": "/left"}, state_dir=tmp_path)
     model = start("model")
