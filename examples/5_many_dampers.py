@@ -60,12 +60,10 @@ def stand_out(values: pd.Series) -> pd.Series:
 # %%
 if __name__ == "__main__":  # the processes of the cluster load this file, too
     # By default, Dask lets its workers return memory at once and profiles them, which costs time.
-    dask.config.set(
-        {
-            "distributed.nanny.pre-spawn-environ": {},
-            "distributed.worker.profile.enabled": False,
-        }
-    )
+    # More than one thread in BLAS costs time, too.
+    environment = {"OMP_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
+    dask.config.set({"distributed.nanny.pre-spawn-environ": environment})
+    dask.config.set({"distributed.worker.profile.enabled": False})
     strengths = np.linspace(0.97, 1.03, 12)
     strengths[7] = 0.8
     recordings = [recorded(number, strength) for number, strength in enumerate(strengths)]
