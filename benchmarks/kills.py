@@ -239,6 +239,8 @@ def _interrupt(nodes: Nodes, node: str, chance: random.Random) -> Interrupt:
     arguments = node_arguments({}, {"__ns": "/interrupted" if node in _SENDING else "/"})
     process = nodes.start(node, *arguments, **INTERRUPTED[node])
     time.sleep(max(began + age - time.monotonic(), 0.0))
+    if not process.running:
+        return Interrupt(node, age, 0, 0.0, f"it ended by itself: {process.log[-400:]!r}")
     loaded, pressed = _is_loaded(process), time.monotonic()
     for pause in pauses:
         time.sleep(pause)

@@ -16,6 +16,9 @@ pip_install "$place/tools" build==1.2.2
 "$place/tools/bin/python" -m build --outdir "$place" . >"$place/build.log" 2>&1 \
   || { tail -n 20 "$place/build.log" >&2; fail "the wheel could not be built."; }
 
+# Its metadata, without the nodes, would stand for those of the workspace if the clone is on PYTHONPATH.
+rm -rf mr_damper_ros.egg-info
+
 say "Trying it in an empty environment"
 "$python" -m venv "$place/env"
 without_hashes requirements/constraints.txt >"$place/versions.txt"
