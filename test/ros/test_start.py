@@ -138,6 +138,7 @@ def test_a_command_that_could_not_write_all_its_output_fails(
         done = subprocess.run(
             [installed_programs() / "mr-damper", "identify", bag, *arguments],
             cwd=tmp_path,
+            env={**os.environ, "PYTHONUNBUFFERED": ""},
             stdout=closed,
             stderr=subprocess.PIPE,
             timeout=60,
