@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import os
 import pickle
 import sys
 import textwrap
@@ -23,7 +22,7 @@ import scipy
 import mr_damper_ros
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.files import write_bytes, write_text
-from mr_damper_ros.processes.process_pool import Notify, ProcessPool
+from mr_damper_ros.processes.process_pool import Notify, ProcessPool, processor_count
 from mr_damper_ros.report.document import Chapter, styled, write_report
 from mr_damper_ros.tools.console import program
 
@@ -151,7 +150,7 @@ def study(
         add("--only", choices=names, nargs="+", default=names, help="only these parts")
         add("--quick", action="store_true", help=f"quick variant: {quick}")
         workers = "processes; the results do not depend on it (default: one per core)"
-        add("--workers", type=int, default=len(os.sched_getaffinity(0)), help=workers)
+        add("--workers", type=int, default=processor_count(), help=workers)
         output = "folder for report.html, figures and tables (default %(default)s)"
         add("--output", type=Path, default=Path("build", name), metavar="FOLDER", help=output)
         if random:

@@ -63,7 +63,7 @@ def program(
     return main
 
 
-_TYPES = {"int": int, "float": float}
+_TYPES = {"int": int, "float": float, "range": float}
 
 
 def parameter_texts(function: Callable[..., object]) -> dict[str, str]:
@@ -114,8 +114,8 @@ def _declared_by(source: Callable[..., object]) -> dict[str, _Declared]:
     for name in [name for name in found if name.startswith("lowest_")]:
         low, high = found[name], found[name.replace("lowest_", "highest_")]
         text = low.text.replace("Lowest", "Lowest and highest")
-        pair = _Declared(low.kind, [low.default, high.default], text)
-        found[name.removeprefix("lowest_")] = pair
+        pair = [low.default, high.default]
+        found[name.removeprefix("lowest_")] = _Declared("range", pair, text)
     return found
 
 
@@ -146,10 +146,9 @@ def add_arguments(
             default = None
         needed = default is inspect.Parameter.empty
         told = "" if needed or default in (None, ()) else " Default: %(default)s."
-        is_range = isinstance(declared[name].default, list)
         chosen = (choices or {}).get(name)
         placeholder: Any = None if chosen else name.rpartition("_")[2].upper()
-        if is_range:
+        if kind == "range":
             placeholder = ("LOW", "HIGH")
         elif kind in _TYPES and (unit := re.search(r"\[([^\]\s]+)", text)):
             placeholder = unit[1]
@@ -159,7 +158,7 @@ def add_arguments(
             type=_TYPES.get(kind, str),
             default=None if needed else default,
             required=needed,
-            nargs=2 if is_range else "+" if kind.startswith("Sequence") else None,
+            nargs=2 if kind == "range" else "+" if kind.startswith("Sequence") else None,
             choices=chosen,
             metavar=placeholder,
             help=text + told,

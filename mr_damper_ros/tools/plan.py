@@ -90,8 +90,9 @@ def _options(parser: argparse.ArgumentParser) -> None:
     )
     goal, machine = parser.add_argument_group("goal"), parser.add_argument_group("machine")
     flags, needed = {**_NEEDED, "sample_rate": "--rate"}, tuple(_NEEDED)
-    add_arguments(goal, GoalOptions, ("error", "peak_velocity", "current"), None, flags, needed)
-    add_arguments(machine, MachineOptions, _MACHINE, None, flags, needed)
+    aims = ("error", "peak_velocity", "current")
+    add_arguments(goal, GoalOptions, aims, flags=flags, without_default=needed)
+    add_arguments(machine, MachineOptions, _MACHINE, flags=flags, without_default=needed)
     speed = "Largest peak velocity [m/s] of the machine. Default: that of the goal."
     machine.add_argument("--top-velocity", type=float, metavar="m/s", help=speed)
     current = "Largest current [A] of the machine. Default: that of the goal."
