@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 
-from mr_damper_ros.processes.exits import FAILED, TERMINATED, exit_code
+from mr_damper_ros.processes.exits import TERMINATED, exit_code
 
 COMMANDS = {
     "identify": "fit one parameter set of a force law to recordings",
@@ -29,17 +29,12 @@ COMMANDS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command that the first argument names; returns its exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    try:
-        installed = version("mr_damper_ros")
-    except PackageNotFoundError:
-        print("mr_damper_ros is not installed: run pip install . in its clone", file=sys.stderr)
-        return FAILED
     # By default the process would end without cleaning up, and leave the nodes that it has started.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
     parser = argparse.ArgumentParser(
         "mr-damper", description=__doc__, epilog="mr-damper COMMAND --help describes a command."
     )
-    parser.add_argument("--version", action="version", version=installed)
+    parser.add_argument("--version", action="version", version=_version())
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, text in COMMANDS.items():
         commands.add_parser(name, help=text, add_help=False)
@@ -52,6 +47,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code
 
     return exit_code(f"mr-damper {command}", run)
+
+
+def _version() -> str:
+    try:
+        return version("mr_damper_ros")
+    except PackageNotFoundError:  # python -m mr_damper_ros in a clone needs no installation
+        return "not installed: run pip install . in the clone of mr_damper_ros"
 
 
 if __name__ == "__main__":
