@@ -26,6 +26,7 @@ import mr_damper_ros as mr
 from benchmarks.dampers import DAMPERS
 from benchmarks.figure import Measured
 from benchmarks.motions import scheduled, stairs, stops
+from mr_damper_ros.data_check.recordings import require_units
 from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.faults import Instruments, faults_of
 from mr_damper_ros.emulation.motions import Excitation, SineMotion, SteppedSine
@@ -277,7 +278,7 @@ def _try_file(path: Path, data: bytes, read: Callable[[Path], Sequence[Recording
     try:
         recordings = read(path)
         for recording in recordings:
-            recording.check_plausible()
+            require_units(recording)
     except (BagError, RecordError, ColumnError, RecordingError, OSError):
         return ""
     for found in recordings:

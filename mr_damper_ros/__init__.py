@@ -18,6 +18,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # a type checker reads these imports, the program the table below
+    from mr_damper_ros.api.check import DataCheck as DataCheck
+    from mr_damper_ros.api.check import check as check
     from mr_damper_ros.api.comparison import Validation as Validation
     from mr_damper_ros.api.comparison import validate as validate
     from mr_damper_ros.api.identification import Identification as Identification
@@ -31,6 +33,7 @@ if TYPE_CHECKING:  # a type checker reads these imports, the program the table b
     from mr_damper_ros.campaign.course import ForceCampaign as ForceCampaign
     from mr_damper_ros.campaign.course import run_campaign as run_campaign
     from mr_damper_ros.control.inverse_model import InverseModel as InverseModel
+    from mr_damper_ros.data_check.findings import Finding as Finding
     from mr_damper_ros.estimation.experiment_design import ForceGoal as ForceGoal
     from mr_damper_ros.estimation.experiment_design import MachineLimits as MachineLimits
     from mr_damper_ros.estimation.experiment_design import PlannedRun as PlannedRun
@@ -51,12 +54,14 @@ if TYPE_CHECKING:  # a type checker reads these imports, the program the table b
     from mr_damper_ros.tracking.tracker import WindowTracker as WindowTracker
 
 _NAMES = {
+    "api.check": ("DataCheck", "check"),
     "api.comparison": ("Validation", "validate"),
     "api.identification": ("Identification", "choose_law", "identify"),
     "api.many_recordings": ("IdentifiedRecording", "identify_many"),
     "api.replay": ("Replay", "follow", "replay"),
     "campaign.course": ("ForceCampaign", "run_campaign"),
     "control.inverse_model": ("InverseModel",),
+    "data_check.findings": ("Finding",),
     "estimation.law_choice": ("LawChoice",),
     "estimation.experiment_design": ("ForceGoal", "MachineLimits", "PlannedRun"),
     "io.bag_reader": ("read_bag",),

@@ -17,10 +17,11 @@ from numpy.typing import ArrayLike
 from mr_damper_ros.api.measured_runs import (
     MeasuredRun,
     RunSource,
+    findings_on,
     measured_runs,
-    remarks_on,
     without_inertia,
 )
+from mr_damper_ros.data_check.findings import NOTE, Finding, labelled
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.report.document import Cell, Grid, Shown, figure_of, save_figure, styled
@@ -115,9 +116,16 @@ RUN_COLUMNS: tuple[str, ...] = ("run", "RMSE [N]", "NRMSE", "R2", "samples")
 
 
 class ComparedRuns(Shown):
-    """Base class of results with ``runs``: overall error and figures."""
+    """Base class of results with ``runs`` and ``findings``: overall error and figures."""
 
     runs: tuple[ComparedRun, ...]
+    findings: tuple[Finding, ...]
+    accepted: bool
+
+    @property
+    def warnings(self) -> tuple[Finding, ...]:
+        """The findings that make the result doubtful; none if they were accepted beforehand."""
+        return () if self.accepted else tuple(f for f in self.findings if f.severity > NOTE)
 
     @property
     def error(self) -> ErrorSums:
@@ -242,18 +250,26 @@ class ValidatedRun(ComparedRun):
 class Validation(ComparedRuns):
     """Result of :func:`validate`: the set and its error on each run, in the given order.
 
-    ``remarks`` describe possible problems of the runs.
+    ``findings`` say what is wrong with the runs, and ``accepted`` whether this was accepted
+    beforehand.
     """
 
     parameter_set: ParameterSet
     runs: tuple[ValidatedRun, ...]
-    remarks: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    accepted: bool = False
+
+    @property
+    def success(self) -> bool:
+        """Whether no finding warns, or all were accepted beforehand."""
+        return not self.warnings
 
     def document(self) -> dict[str, Any]:
         """The result as JSON-compatible values."""
         return {
             "bags": [run.document() | {"remark": run.remark} for run in self.runs],
-            "remarks": list(self.remarks),
+            "success": self.success,
+            "findings": [finding.document() for finding in self.findings],
         }
 
     def _blocks(self) -> list[str | Grid]:
@@ -261,7 +277,7 @@ class Validation(ComparedRuns):
         if any(run.remark for run in self.runs):
             columns += ("remark",)
             rows = [(*run.row, run.remark) for run in self.runs]
-        return [(columns, rows), *(f"WARNING: {remark}" for remark in self.remarks)]
+        return [(columns, rows), *map(labelled, self.findings)]
 
 
 @one_thread()
@@ -273,6 +289,7 @@ def validate(
     current: ArrayLike | None = None,
     period: float | None = None,
     accept_doubtful: bool = False,
+    as_measured: bool = False,
     mass: float = 0.0,
 ) -> Validation:
     """Compare the predicted force of a parameter set with the measured force of runs.
@@ -281,7 +298,7 @@ def validate(
     ----------
     parameters
         A parameter set of any model, or the path of its file.
-    *runs, displacement, force, current, period, accept_doubtful, mass
+    *runs, displacement, force, current, period, accept_doubtful, as_measured, mass
         As in :func:`identify`.
 
     Raises
@@ -304,13 +321,17 @@ def validate(
     """
     parameters = given_set(parameters)
     measured = measured_runs(
-        runs, (displacement, force, current, period), accept_doubtful=accept_doubtful
+        runs,
+        (displacement, force, current, period),
+        accept_doubtful=accept_doubtful,
+        as_measured=as_measured,
     )
     measured = without_inertia(measured, mass)
     return Validation(
         parameters,
         tuple(ValidatedRun(compare(parameters, run), _remark(parameters, run)) for run in measured),
-        remarks_on(measured),
+        findings_on(measured),
+        accept_doubtful,
     )
 
 

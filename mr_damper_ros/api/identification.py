@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mr_damper_ros.api import findings
+from mr_damper_ros.api import details
 from mr_damper_ros.api.comparison import (
     RUN_COLUMNS,
     ComparedRun,
@@ -23,15 +23,17 @@ from mr_damper_ros.api.comparison import (
     compare,
     error_entry,
 )
-from mr_damper_ros.api.findings import Estimate, Estimates, Findings
+from mr_damper_ros.api.details import Details, Estimate, Estimates
 from mr_damper_ros.api.measured_runs import (
     MeasuredRun,
     RunSource,
     all_windows,
+    findings_on,
     measured_runs,
-    remarks_on,
     without_inertia,
 )
+from mr_damper_ros.data_check.currents import current_lateness, lateness_finding
+from mr_damper_ros.data_check.findings import Finding, Kind, labelled
 from mr_damper_ros.estimation.covariance import least_squares_covariance, noise_level
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, Report
 from mr_damper_ros.estimation.experiment_design import MachineLimits
@@ -66,6 +68,9 @@ from mr_damper_ros.tracking.state_directory import SetSource, given_set
 
 LARGEST_RUN_NRMSE = 0.3
 """Largest acceptable NRMSE of a run; above it, the set explains too little of the force."""
+
+POOR_NRMSE, _MUCH_BETTER = 0.15, 0.6
+"""NRMSE above which the other laws are tried, and the part of it at which one is named."""
 
 AUTO = "auto"
 """Value of ``model`` for which the law is chosen by cross-validation."""
@@ -117,8 +122,9 @@ class Identification(ComparedRuns):
     """Result of :func:`identify`.
 
     ``parameter_set`` is the identified set; ``runs`` are its fits to the runs, in the given order;
-    ``searches`` holds all searches, and ``duration`` [s] is their computing time; ``remarks``
-    describe possible problems of the runs. ``choice``: the choice of the law, for the model "auto";
+    ``searches`` holds all searches, and ``duration`` [s] is their computing time; ``findings`` say
+    what is wrong with the runs or the fit, and ``accepted`` whether this was accepted beforehand.
+    ``choice``: the choice of the law, for the model "auto";
     ``profiles``: the requested profile likelihoods; ``mass``: the mass [kg] whose inertia was
     subtracted from the force.
     """
@@ -128,15 +134,16 @@ class Identification(ComparedRuns):
     searches: MultiStart
     method: str
     duration: float
-    remarks: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    accepted: bool = False
     choice: LawChoice | None = None
-    profiles: Findings = field(default_factory=lambda: Findings([], {}))
+    profiles: Details = field(default_factory=lambda: Details([], {}))
     mass: Estimate | None = None
 
     @property
     def parameters(self) -> dict[str, Estimate]:
         """Value, standard error, unit and observability of each parameter, by name."""
-        return findings.parameter_estimates(self.parameter_set, self.searches.best.only_with)
+        return details.parameter_estimates(self.parameter_set, self.searches.best.only_with)
 
     @property
     def _windows(self) -> list[Window]:
@@ -161,37 +168,14 @@ class Identification(ComparedRuns):
         return self.searches.best.evaluations
 
     @property
-    def explains(self) -> bool:
-        """Whether the NRMSE is at most 30 % in each run.
-
-        With a gain and an offset per run, the NRMSE includes them.
-        """
-        return not self._unexplained
-
-    @property
-    def _unexplained(self) -> list[tuple[float, str]]:
-        """NRMSE and name of the runs with too large an NRMSE, the worst first."""
-        left = [((run.level or run.error).nrmse, run.name) for run in self.runs]
-        return sorted((entry for entry in left if entry[0] > LARGEST_RUN_NRMSE), reverse=True)
-
-    @property
     def success(self) -> bool:
-        """Whether the search was completed and the set explains the force."""
-        return self.searches.best.success and self.explains
+        """Whether the search was completed, and no finding warns or all were accepted."""
+        return self.searches.best.success and not self.warnings
 
     @property
     def message(self) -> str:
-        """Outcome of the search, in words."""
-        ended = self.searches.best.message
-        if self.explains:
-            return ended
-        (worst, name), *others = self._unexplained
-        where = f"{name} and {len(others)} more" if others else name
-        return (
-            f"{ended}, but THE SET EXPLAINS TOO LITTLE OF THE FORCE of {where}: NRMSE {worst:.1%}, "
-            f"above the limit of {LARGEST_RUN_NRMSE:.0%}; check columns, units, signs and "
-            "currents, and whether all runs are of one damper"
-        )
+        """Outcome of the search and the findings that warn, in words."""
+        return "; BUT ".join([self.searches.best.message, *map(str, self.warnings)])
 
     def force_error(self, time: ArrayLike, displacement: ArrayLike, current: ArrayLike) -> Array:
         """Standard error (n,) [N] of the force in a motion that was not measured.
@@ -203,7 +187,7 @@ class Identification(ComparedRuns):
     @one_thread()
     def determination(
         self, *, top_velocity: float | None = None, top_current: float | None = None
-    ) -> Findings:
+    ) -> Details:
         """The parameters that the runs determine, and further runs to determine the others.
 
         Parameters
@@ -222,13 +206,13 @@ class Identification(ComparedRuns):
             current=max(map(abs, currents)) if top_current is None else top_current,
             duration=1.0,
         )
-        return findings.attempted(
+        return details.attempted(
             "the determined parameters",
-            lambda: findings.determined(self.searches.best, windows, rig),
+            lambda: details.determined(self.searches.best, windows, rig),
         )
 
     @one_thread()
-    def profile(self, *names: str, workers: int = 1, report: Report | None = None) -> Findings:
+    def profile(self, *names: str, workers: int = 1, report: Report | None = None) -> Details:
         """Profile likelihood of the named parameters, with 95 % intervals.
 
         If an interval does not contain the identified value, the search has missed a lower minimum;
@@ -238,21 +222,21 @@ class Identification(ComparedRuns):
         windows, fit = self._windows, self.searches.best
         check_profiled(names, fit.parameter_set.law.parameter_names)
         with ProcessPool(workers) as processes:
-            return findings.attempted(
+            return details.attempted(
                 "the profiles",
-                lambda: findings.profiles(fit, profiles_of(fit, windows, names, processes, report)),
+                lambda: details.profiles(fit, profiles_of(fit, windows, names, processes, report)),
             )
 
     @one_thread()
-    def temperature_maps(self) -> Findings:
+    def temperature_maps(self) -> Details:
         """Change of the force with temperature, from runs with measured temperature."""
         measured = [run.measured for run in self.runs]
         if all(part.temperature is None for run in measured for part in run.recordings):
-            return Findings([], {})
+            return Details([], {})
         found = self.parameter_set
-        return findings.attempted(
+        return details.attempted(
             "the change with temperature",
-            lambda: findings.temperatures(findings.temperature_maps(measured, found)),
+            lambda: details.temperatures(details.temperature_maps(measured, found)),
         )
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -277,7 +261,7 @@ class Identification(ComparedRuns):
             "success": self.success,
             "message": self.message,
             **({} if self.mass is None else {"mass": json_ready(vars(self.mass))}),
-            "remarks": list(self.remarks),
+            "findings": [finding.document() for finding in self.findings],
             "bags": [run.document() for run in self.runs],
         }
 
@@ -287,21 +271,21 @@ class Identification(ComparedRuns):
             speed, current = self.runs[0].operating_point
             blocks += [
                 f"coefficients at a peak velocity of {speed:.4g} m/s and {current:.4g} A:",
-                findings.estimates_table("coefficient", self.coefficients),
+                details.estimates_table("coefficient", self.coefficients),
                 "",
             ]
         columns, rows = RUN_COLUMNS, [run.row for run in self.runs]
         if any(run.level for run in self.runs):
             columns += ("NRMSE with level", "force gain", "force offset [N]")
             rows = [run.row + run.level_row for run in self.runs]
-        blocks += [findings.estimates_table("parameter", self.parameters), "", (columns, rows)]
+        blocks += [details.estimates_table("parameter", self.parameters), "", (columns, rows)]
         if self.mass is not None:
             blocks.append(f"inertia subtracted: {self.mass} between load cell and damper")
         blocks.append(
             f"{self.method}: {self.evaluations} evaluations in {self.duration:.2f} s, "
-            f"{self.message}"
+            f"{self.searches.best.message}"
         )
-        return [*blocks, *(f"WARNING: {remark}" for remark in self.remarks)]
+        return [*blocks, *map(labelled, self.findings)]
 
 
 @one_thread()
@@ -320,6 +304,7 @@ def identify(
     starts: int = 1,
     workers: int = 1,
     accept_doubtful: bool = False,
+    as_measured: bool = False,
     resume: str | os.PathLike[str] | None = None,
     profile: Sequence[str] = (),
     level_per_record: float = 0.0,
@@ -360,8 +345,11 @@ def identify(
 
         A script with more than one process needs the usual ``if __name__ == "__main__":``.
     accept_doubtful
-        Accept runs that would be rejected because the force is clipped or not dissipative, or a
-        unit is wrong. A remark then describes the problem.
+        Accept data and results that would be refused or warned of: a clipped force, a wrong unit, a
+        reversed sign, too large an error. The findings then describe the problem.
+    as_measured
+        Use the data as they were measured: no filter for a disturbance, no bridged spikes or held
+        values, no fragments left out.
     resume
         File with the progress of the searches. A repeated call continues from it.
     profile
@@ -385,8 +373,8 @@ def identify(
     Returns
     -------
     Identification
-        ``success`` is False if the search was stopped, or if the NRMSE of a run is above 30 %;
-        ``remarks`` describe possible problems of the runs.
+        ``success`` is False if the search was stopped, or if one of the ``findings`` warns, for
+        example because the NRMSE of a run is above 30 %, unless doubtful data are accepted.
 
     Raises
     ------
@@ -419,6 +407,7 @@ def identify(
             runs,
             (displacement, force, current, period),
             accept_doubtful=accept_doubtful,
+            as_measured=as_measured,
             processes=processes,
         )
         measured = without_inertia(measured, 0.0 if fit_mass else mass)
@@ -447,8 +436,10 @@ def identify(
         found = search(measured, resume=None if resume is None else Path(resume))
         if fit_mass and not found.searches.best.stopped:
             found = _with_mass(found, measured, search)
+        if choice is None and not found.searches.best.stopped:
+            found = replace(found, findings=(*found.findings, *_other_law(found, measured, search)))
     known = Estimate(mass, math.nan, "kg") if mass and not fit_mass else found.mass
-    return replace(found, choice=choice, mass=known)
+    return replace(found, choice=choice, mass=known, accepted=accept_doubtful)
 
 
 def identify_measured(
@@ -477,28 +468,30 @@ def identify_measured(
         keep = partial(_store, resume)
         if resume.exists():
             _resume(record, resume)
-    remarks, began = remarks_on(measured), time.monotonic()
+    began = time.monotonic()
     searches = identify_from_seeds(record, starts, report, processes=processes, keep=keep)
-    profiles = Findings([], {})
+    profiles = Details([], {})
 
-    def profile_result() -> Findings:
+    def profile_result() -> Details:
         nonlocal searches
         fit, found = profiled(searches.best, windows, profile, settings, processes, report)
         searches = searches.replaced(fit)
-        return findings.profiles(fit, found)
+        return details.profiles(fit, found)
 
     if profile and not searches.best.stopped:
-        profiles = findings.attempted("the profiles", profile_result)
+        profiles = details.attempted("the profiles", profile_result)
     duration = time.monotonic() - began
     best, fitted = searches.best.parameter_set, _fitted(searches, measured)
-    slopes = findings.negative_slopes({run.name: run.coefficients for run in fitted}, best)
+    slopes = details.negative_slopes({run.name: run.coefficients for run in fitted}, best)
+    late = lateness_finding(*current_lateness(best, windows))
+    found = (*findings_on(measured), *slopes, *late, *_unexplained(fitted))
     return Identification(
         parameter_set=replace(best, nrmse=pooled(run.error for run in fitted).nrmse),
         runs=fitted,
         searches=searches,
         method=method,
         duration=duration,
-        remarks=(*remarks, *slopes),
+        findings=found,
         profiles=profiles,
     )
 
@@ -522,12 +515,9 @@ def _with_mass(
     windows, began = all_windows(measured), time.monotonic()
     mass = _fitted_mass(found.searches.best, windows)
     if not mass.observable:
-        remark = (
-            "the runs do not determine the mass, so no inertia was subtracted: give runs of "
-            "different frequencies"
-        )
         unknown = replace(mass, value=0.0, standard_error=math.nan)
-        return replace(found, remarks=(*found.remarks, remark), mass=unknown)
+        findings = (*found.findings, Kind.UNDETERMINED_MASS.found())
+        return replace(found, findings=findings, mass=unknown)
     before = found.duration
     for _ in range(3):
         found = search(without_inertia(measured, mass.value))
@@ -595,6 +585,43 @@ def _fitted_mass(fit: GlobalFit, windows: Sequence[Window], mass: float = 0.0) -
         bool(error * np.linalg.norm(inertia) < NOTICED * np.linalg.norm(force)),
         meaning="mass between load cell and damper",
     )
+
+
+def _unexplained(runs: Sequence[FittedRun]) -> list[Finding]:
+    """A finding on each run of which the set explains too little."""
+    left = [(run.name, (run.level or run.error).nrmse) for run in runs]
+    return [
+        replace(
+            Kind.UNEXPLAINED.found(value=nrmse, nrmse=nrmse, limit=LARGEST_RUN_NRMSE), source=name
+        )
+        for name, nrmse in left
+        if nrmse > LARGEST_RUN_NRMSE
+    ]
+
+
+def _other_law(
+    found: Identification,
+    measured: Sequence[MeasuredRun],
+    search: Callable[..., Identification],
+) -> list[Finding]:
+    """A finding if another law explains the runs much better than that of a poor fit."""
+    model = found.parameter_set.model
+    if found.nrmse <= POOR_NRMSE:
+        return []
+    trials = {}
+    for other in MODELS:
+        if other != model:
+            start = start_values_of(None, other)
+            trial = search(measured, model=other, start_values=start, profile=())
+            trials[other] = trial.nrmse
+    other = min(trials, key=trials.__getitem__)
+    if trials[other] > _MUCH_BETTER * found.nrmse:
+        return []
+    return [
+        Kind.OTHER_LAW.found(
+            value=trials[other], other=other, better=trials[other], model=model, nrmse=found.nrmse
+        )
+    ]
 
 
 def start_values_of(source: SetSource | None, model: str) -> Array:

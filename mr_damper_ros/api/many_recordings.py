@@ -38,7 +38,8 @@ class IdentifiedRecording:
         row = {"recording": self.name, "error": self.error, "success": found.get("success", False)}
         if self.error:
             return row
-        row |= {"remarks": "; ".join(found["remarks"])} | found["metrics"] | found["parameters"]
+        sentences = "; ".join(finding["sentence"] for finding in found["findings"])
+        row |= {"findings": sentences} | found["metrics"] | found["parameters"]
         row |= {f"{name}_standard_error": e for name, e in found["standard_errors"].items()}
         return row | {name: found[name] for name in ("model", "message", "duration_s")}
 

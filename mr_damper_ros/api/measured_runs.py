@@ -5,26 +5,19 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from pathlib import Path
 from typing import Any, SupportsFloat, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mr_damper_ros.data_check.currents import current_findings
+from mr_damper_ros.data_check.findings import Finding
+from mr_damper_ros.data_check.recordings import usable_run
 from mr_damper_ros.kinematics.motion import DataError
-from mr_damper_ros.kinematics.window import Window, holds_cycle
-from mr_damper_ros.models.quantities import SAME_CURRENT
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool
-from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.moving_average import find_average
-from mr_damper_ros.signals.recording import DEFAULT_START_NS, LARGEST_CURRENT, Recording
-from mr_damper_ros.tracking.screening import (
-    Screening,
-    fault_of_samples,
-    fault_of_sign,
-    lack_of_motion,
-)
+from mr_damper_ros.signals.recording import DEFAULT_START_NS, Recording
 
 RunSource = str | os.PathLike[str] | Recording | Iterable["RunSource"]
 """The path of a bag, a recording, or an iterable of these."""
@@ -36,21 +29,20 @@ _LARGEST_MASS = 1e6
 _RECORD_ENDINGS = frozenset(
     {".txt", ".csv", ".tsv", ".dat", ".asc", ".mat", ".xlsx", ".xlsm", ".tdms"}
 )
-_LIMITS = Screening(minimum_amplitude=1e-6, current_tolerance=2.0 * LARGEST_CURRENT)
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredRun:
     """One run of a damper, checked and ready for identification.
 
-    ``recordings``: one per section without gaps; ``windows``: their motion and force; ``remarks``:
-    possible problems of the run.
+    ``recordings``: one per section without gaps, as they are used; ``windows``: their motion and
+    force; ``findings``: what the check of the data found.
     """
 
     name: str
     recordings: tuple[Recording, ...]
     windows: tuple[Window, ...]
-    remarks: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     @property
     def longest(self) -> Window:
@@ -66,54 +58,35 @@ def run_name(source: object) -> str:
 
 
 def measured_run(
-    source: str | os.PathLike[str] | Recording, accept_doubtful: bool = False
+    source: str | os.PathLike[str] | Recording,
+    accept_doubtful: bool = False,
+    as_measured: bool = False,
 ) -> MeasuredRun:
     """A run from a bag or a recording.
 
-    Raises ValueError if the run cannot be used. With ``accept_doubtful``, a problem becomes a
-    remark instead, unless the displacement or the force is constant.
+    Raises DataError if a finding refuses the run; with ``accept_doubtful``, only if the
+    displacement or the force is constant. ``as_measured``: mend and leave out nothing. Raises
+    ValueError for another source.
     """
-    recordings: tuple[Recording, ...]
     name = run_name(source)
     if isinstance(source, Recording):
-        recordings = (source,)
+        recordings: Sequence[Recording] = (source,)
     elif isinstance(source, (str, os.PathLike)):
-        recordings = tuple(_recordings(Path(source)))
+        recordings = _recordings(Path(source))
     else:
         raise ValueError(
             f"a run cannot be of type {type(source).__name__}: give the path of a bag or a "
             "recording, or name the arrays (displacement=, force=, current=, period=)"
         )
-    windows, remarks = [], []
-
-    def reject(fault: str, recording: Recording) -> None:
-        if not fault:
-            return
-        if np.ptp(recording.displacement) == 0.0 or np.ptp(recording.force) == 0.0:
-            raise ValueError(f"{name}: {fault}")
-        if not accept_doubtful:
-            remedy = "to use it anyway, give accept_doubtful=True or --accept-doubtful"
-            raise ValueError(f"{name}: {fault} ({remedy})")
-        remarks.append(f"{name}: {fault} (used anyway)")
-
-    for recording in recordings:
-        fault = (
-            fault_of_samples(recording.displacement, recording.force, recording.current, _LIMITS)
-            or lack_of_motion(recording.displacement, _LIMITS)
-            or recording.implausible()
-        )
-        reject(fault, recording)
+    checked = usable_run(name, recordings, accept_doubtful=accept_doubtful, mend=not as_measured)
+    windows = []
+    for section in checked.sections:
+        samples = section.displacement, section.force, section.current, section.period
         try:
-            window = Window.from_samples(
-                recording.displacement, recording.force, recording.current, recording.period
-            )
+            windows.append(Window.from_samples(*samples).resolved())
         except DataError as error:
             raise DataError(f"{name}: {error}") from error
-        reject(fault_of_sign(window.motion.velocity, window.force), recording)
-        windows.append(window.resolved())
-    if not any(holds_cycle(recording.displacement) for recording in recordings):
-        remarks.append(f"{name}: it holds less than a cycle of the motion; record some cycles")
-    return MeasuredRun(name, recordings, tuple(windows), tuple(dict.fromkeys(remarks)))
+    return MeasuredRun(name, checked.sections, tuple(windows), checked.findings)
 
 
 def measured_runs(
@@ -121,6 +94,7 @@ def measured_runs(
     arrays: RunArrays = (None, None, None, None),
     *,
     accept_doubtful: bool = False,
+    as_measured: bool = False,
     processes: ProcessPool | None = None,
 ) -> tuple[MeasuredRun, ...]:
     """All runs in the given order, followed by the run of the ``arrays``, if given.
@@ -135,7 +109,7 @@ def measured_runs(
             "there are no runs: give paths of bags, recordings, or displacement, force, current "
             "and period"
         )
-    tasks = [(source, accept_doubtful) for source in flat]
+    tasks = [(source, accept_doubtful, as_measured) for source in flat]
     found = (processes or ProcessPool()).map(_task, tasks)
     return tuple(run for run in found if run is not None)
 
@@ -165,7 +139,7 @@ def all_windows(runs: Sequence[MeasuredRun]) -> list[Window]:
     return [window for run in runs for window in run.windows]
 
 
-def _task(task: tuple[str | Recording, bool], notify: Notify) -> MeasuredRun:
+def _task(task: tuple[str | Recording, bool, bool], notify: Notify) -> MeasuredRun:
     return measured_run(*task)
 
 
@@ -210,109 +184,7 @@ def _from_arrays(arrays: RunArrays) -> Recording:
     return Recording("arrays", DEFAULT_START_NS, period, displacement, force, current)
 
 
-_CONTRADICTING = 1.5
-"""Ratio of loop heights from which runs contradict each other.
-
-Heating to 70 °C causes a ratio of 1.35.
-"""
-
-_MOST = 3
-"""Largest number of runs, or pairs of runs, that a remark names."""
-
-
-def remarks_on(runs: Sequence[MeasuredRun]) -> tuple[str, ...]:
-    """The remarks of the runs, and remarks on inconsistent currents and on smoothed forces."""
-    return (
-        *(remark for run in runs for remark in run.remarks),
-        *_current_remarks(runs),
-        *_smoothing_remarks(runs),
-    )
-
-
-def _smoothing_remarks(runs: Sequence[MeasuredRun]) -> list[str]:
-    """A remark on runs whose force was smoothed by a moving average."""
-    counts = {run.name: find_average(run.longest.force) for run in runs}
-    named = [f"{name} ({count} samples)" for name, count in counts.items() if count > 1]
-    if not named:
-        return []
-    more = f" and {len(named) - _MOST} more runs" if len(named) > _MOST else ""
-    return [
-        f"the force of {', '.join(named[:_MOST])}{more} was smoothed by a moving average, which "
-        "distorts fast motions: undo it with mr-damper import --undo-moving-average N; the record "
-        "must begin at rest"
-    ]
-
-
-def _current_remarks(runs: Sequence[MeasuredRun]) -> list[str]:
-    """Remarks on currents that are inconsistent with the heights of the loops.
-
-    The force increases with the current. At equal current and speed, only the temperature changes
-    it.
-    """
-    remarks, middles = [], []
-    for run in runs:
-        table = _fast_cycles(run.windows)
-        if len(table):
-            remarks += _within(run, table)
-            middles.append((run.name, *np.median(table, axis=0).tolist()))
-    pairs = [text for one, two in combinations(middles, 2) for text in _between(*one, *two)]
-    if len(pairs) > _MOST:
-        pairs = [*pairs[:_MOST], f"{len(pairs) - _MOST} more pairs of runs contradict each other"]
-    return remarks + pairs
-
-
-def _fast_cycles(windows: Sequence[Window]) -> Array:
-    """Peak velocity [m/s], current [A] and loop height [N] of the fastest cycles, shape (n, 3).
-
-    These reach 85 % of the largest peak velocity.
-    """
-    found = []
-    for window in windows:
-        velocity = window.motion.velocity
-        # A stroke begins where the velocity exceeds a tenth of its peak in a new direction.
-        moving = np.flatnonzero(np.abs(velocity) > 0.1 * float(np.max(np.abs(velocity))))
-        turns = moving[1:][np.diff(np.sign(velocity[moving])) != 0.0]
-        strokes = [int(moving[0]), *turns.tolist(), int(moving[-1]) + 1]
-        for first, last in zip(strokes, strokes[2:], strict=False):
-            cycle = slice(first, last)
-            current = window.current[cycle]
-            if float(np.ptp(current)) <= SAME_CURRENT:
-                speed = float(np.max(np.abs(velocity[cycle])))
-                height = 0.5 * float(np.ptp(window.force[cycle]))
-                found.append((speed, float(np.mean(current)), height))
-    table = np.array(found).reshape(-1, 3)
-    return table[table[:, 0] >= 0.85 * table[:, 0].max(initial=0.0)]
-
-
-def _within(run: MeasuredRun, table: Array) -> list[str]:
-    """A remark on different loop heights at one current.
-
-    It compares the second smallest and the second largest height, so that a single disturbance
-    causes no remark.
-    """
-    _, currents, every = table.T
-    for current in np.unique(np.round(currents / SAME_CURRENT)) * SAME_CURRENT:
-        heights = np.sort(every[np.abs(currents - current) <= SAME_CURRENT])
-        if heights.size >= 4 and heights[-2] > _CONTRADICTING * heights[1]:
-            return [
-                f"{run.name}: at {current:.3g} A and the same speed the force reaches "
-                f"{heights[1]:.3g} N in some cycles and {heights[-2]:.3g} N in others: does the "
-                "record hold several currents? (mr-damper import --split cuts it into its runs)"
-            ]
-    return []
-
-
-def _between(
-    one: str, v1: float, i1: float, f1: float, two: str, v2: float, i2: float, f2: float
-) -> list[str]:
-    """A remark on two runs of equal speed with contradicting currents [A] and forces [N]."""
-    ratio = f1 / f2 if i1 < i2 else f2 / f1
-    if abs(i1 - i2) <= SAME_CURRENT:
-        ratio = max(f1, f2) / min(f1, f2)
-    same_speed = abs(v1 - v2) <= 0.2 * max(v1, v2)
-    if not same_speed or ratio <= _CONTRADICTING:
-        return []
-    return [
-        f"{one} and {two}: the force reaches {f1:.3g} N at {i1:.3g} A and {f2:.3g} N at {i2:.3g} "
-        "A, at the same speed: is a current wrong?"
-    ]
+def findings_on(runs: Sequence[MeasuredRun]) -> tuple[Finding, ...]:
+    """The findings on each run, and on currents that contradict the forces."""
+    of_currents = current_findings({run.name: run.windows for run in runs})
+    return (*(finding for run in runs for finding in run.findings), *of_currents)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mr_damper_ros.api.findings import estimates_table, parameter_estimates
+from mr_damper_ros.api.details import estimates_table, parameter_estimates
 from mr_damper_ros.campaign.folder import (
     CampaignStep,
     CampaignTask,

@@ -23,7 +23,7 @@ from mr_damper_ros.estimation.covariance import (
 )
 from mr_damper_ros.models.formulas import LIMIT
 from mr_damper_ros.models.misfit import ChosenParameters
-from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array
+from mr_damper_ros.signals.arrays import Array
 
 HUBER = 1.345
 """Huber's constant, which gives 95 % efficiency for normal noise."""
@@ -193,38 +193,25 @@ class LocalSearch(Generic[P]):
 
     @np.errstate(over="ignore", invalid="ignore")
     def least_squares(
-        self,
-        weights: Array | None = None,
-        tolerance: float = _LAST_DIGITS,
-        most_steps: int = MOST_STEPS,
+        self, *, tolerance: float = _LAST_DIGITS, most_steps: int = MOST_STEPS
     ) -> None:
-        """Least squares from the best unknowns; ``weights`` (n,) multiply the squared residuals.
+        """Least squares from the best unknowns.
 
         Without bounds it uses Levenberg-Marquardt (MINPACK). With bounds it uses the trust-region
         method of Branch, Coleman and Li (SIAM J. Scientific Computing 21, 1999), which takes
         several times as long if evaluations are cheap. The search ends when a step reduces the sum
         of squares by less than the relative ``tolerance``.
         """
-        root = None if weights is None else np.sqrt(weights)
-
-        def residual(unknowns: Array) -> Array:
-            plain = self.residual(unknowns)
-            return plain if root is None else plain * root
-
-        def jacobian(unknowns: Array) -> Array:
-            plain = self.problem.jacobian(unknowns)
-            return plain if root is None else plain * root[:, np.newaxis]
-
         from scipy import optimize  # imported late: see entry_points
 
-        if weights is None and math.isinf(self.best_cost):
+        if math.isinf(self.best_cost):
             self.try_out(self.best)
         bounds = self.problem.bounds
         if bounds is None:
             found, _, counts, *_ = optimize.leastsq(
-                residual,
+                self.residual,
                 self.best,
-                Dfun=jacobian,
+                Dfun=self.problem.jacobian,
                 full_output=True,
                 ftol=tolerance,
                 xtol=_LAST_DIGITS,
@@ -233,9 +220,9 @@ class LocalSearch(Generic[P]):
             self.exhausted = counts["nfev"] >= most_steps
         elif math.isfinite(self.best_cost):
             result = optimize.least_squares(
-                residual,
+                self.residual,
                 _inside(self.best, *bounds),
-                lambda x: _without_overflow(jacobian(x)),
+                lambda x: _without_overflow(self.problem.jacobian(x)),
                 bounds=bounds,
                 x_scale="jac",
                 ftol=tolerance,
@@ -246,26 +233,7 @@ class LocalSearch(Generic[P]):
             self.exhausted = result.nfev >= most_steps
         else:
             return
-        if weights is not None:
-            self.best = found
-            return
         self.try_out(found)
-
-    def reweighted_least_squares(self) -> Array:
-        """Huber weights (n,), estimated with the unknowns by a few reweighting iterations."""
-        weights = np.ones(self.problem.residual(self.best).size)
-        for _ in range(10):
-            residual = self.problem.residual(self.best)
-            deviation = float(np.median(np.abs(residual - np.median(residual)))) / NORMAL_MEDIAN
-            bound = HUBER * deviation
-            if bound == 0.0:
-                break
-            updated = bound / np.maximum(np.abs(residual), bound)
-            if np.max(np.abs(updated - weights)) < 1e-3:
-                break
-            weights = updated
-            self.least_squares(weights)
-        return weights
 
 
 def _without_overflow(jacobian: Array) -> Array:

@@ -122,7 +122,6 @@ def fit_window(
     start: Array,
     *,
     method: str = "nelder_mead",
-    robust: bool = False,
     prior: ParameterSet | None = None,
     held: tuple[float, float] = UNHELD,
     tolerance: float | None = None,
@@ -131,14 +130,14 @@ def fit_window(
     """Fit the unknowns that one window determines, from the parameters ``start`` of shape (p,).
 
     If the mean square residual of the start exceeds a quarter of the force variance, starts that
-    the model derives from the window are also tried. ``robust`` limits the influence of outliers
-    (Huber's weights). ``prior``, the running set, adds a prior to the samples. The effect of an
-    unknown on the force is evaluated in the window and in a sine of its largest peak velocity.
-    The set must agree with the start in all parameters that a window does not determine. If the
-    window determines the unknowns, the prior has little effect. ``held`` [m/s]: the range to which
-    the set of the fit limits the peak velocity. ``tolerance``: relative decrease of the sum of
-    squares at which the search ends (None: the model's value). ``should_stop`` is called at every
-    evaluation; if it returns True, the best fit so far is returned with ``success`` False.
+    the model derives from the window are also tried. ``prior``, the running set, adds a prior to
+    the samples. The effect of an unknown on the force is evaluated in the window and in a sine of
+    its largest peak velocity. The set must agree with the start in all parameters that a window
+    does not determine. If the window determines the unknowns, the prior has little effect. ``held``
+    [m/s]: the range to which the set of the fit limits the peak velocity. ``tolerance``: relative
+    decrease of the sum of squares at which the search ends (None: the model's value).
+    ``should_stop`` is called at every evaluation; if it returns True, the best fit so far is
+    returned with ``success`` False.
 
     Raises DataError for a constant force, ValueError for an unknown method.
     """
@@ -148,7 +147,6 @@ def fit_window(
     if spread == 0.0:
         raise DataError("the force does not change: there is nothing to identify")
     phases, effort = CyclePhases.of(window), model.effort
-    weights = np.ones(window.sample_count)
     searches: list[LocalSearch[WindowProblem]] = []
     problem: WindowProblem | None = None
     ending = Ending.CONVERGED
@@ -183,11 +181,9 @@ def fit_window(
             # Without a force of the running set, there is no prior.
             if np.isfinite(width).all():
                 unknowns, errors, exhausted = _with_prior(
-                    running, width, search, phases, robust=robust, should_stop=should_stop
+                    running, width, search, phases, should_stop
                 )
                 problem = running
-        if problem is None and robust:
-            weights = search.reweighted_least_squares()
         if exhausted:
             ending = Ending.EXHAUSTED
     except StopRequestedError:
@@ -195,9 +191,8 @@ def fit_window(
         search = min(searches, key=_mean_square)
     if problem is None:
         problem, unknowns, settled = search.problem, search.best, search.problem.settled
-        root = np.sqrt(weights[settled])
-        jacobian = root[:, np.newaxis] * problem.jacobian(unknowns)[settled]
-        errors = error_covariances(jacobian, root * problem.residual(unknowns)[settled], phases)
+        jacobian = problem.jacobian(unknowns)[settled]
+        errors = error_covariances(jacobian, problem.residual(unknowns)[settled], phases)
     return fit_of(
         problem,
         unknowns,
@@ -291,8 +286,6 @@ def _with_prior(
     width: Array,
     without: LocalSearch[WindowProblem],
     phases: CyclePhases | None,
-    *,
-    robust: bool,
     should_stop: Callable[[], bool] | None,
 ) -> tuple[Array, ErrorCovariances, bool]:
     """The most probable unknowns (f,), their errors, and whether the search was exhausted.
@@ -310,8 +303,6 @@ def _with_prior(
         for start in (posterior.start, search.best):
             search.try_out(start)
         search.least_squares()
-        if robust:
-            search.reweighted_least_squares()
         apart = (search.best - posterior.start) / width
         left = float(np.linalg.norm(running.residual(search.best)))
         # In random motion a smaller residual proves nothing, because a fit without a prior follows

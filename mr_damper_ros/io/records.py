@@ -140,8 +140,8 @@ class SampledRecord:
     def recording(self, current: float | None, name: str | None = None) -> Recording:
         """The recording; ``current`` [A] applies if no column holds the current.
 
-        Raises RecordError or RecordingError if the sampling is not uniform or values are
-        implausible.
+        Raises RecordError or RecordingError if the sampling is not uniform, or a value is not
+        finite.
         """
         velocity = self.values.get("velocity")
         if velocity is not None:
@@ -163,7 +163,6 @@ class SampledRecord:
         except NotFiniteError as error:
             value = self.values[error.quantity][error.sample]
             raise self._not_finite(error.quantity, error.sample, value) from error
-        recording.check_plausible()
         if velocity is not None and "displacement" in self.values:
             _check_velocity(recording, velocity)
         return recording

@@ -21,6 +21,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from mr_damper_ros.data_check.streams import ReceivedBlock, RigRecord
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC
@@ -28,7 +29,6 @@ from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
 from mr_damper_ros.nodes.quality import STREAM_DEPTH
 from mr_damper_ros.processes.programs import PATIENCE, RosDomain
 from mr_damper_ros.rig.sources.daq_source import SATURATED
-from mr_damper_ros.rig_check.checks import ReceivedBlock, RigRecord
 
 
 class Observer(AbstractContextManager):

@@ -8,6 +8,9 @@ from collections.abc import Callable
 
 from mr_damper_ros.processes.dependencies import missing_dependency
 
+DOUBTFUL = 1
+"""Exit code if the result is written, but the check of the data warns of it."""
+
 FAILED = 2
 """Exit code if the input, the options or the installation are invalid."""
 

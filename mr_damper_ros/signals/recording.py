@@ -18,13 +18,12 @@ DEFAULT_START_NS = 1_672_531_200 * NANOSECONDS
 Many ROS programs interpret a stamp near zero as "time unknown".
 """
 
-_SMALLEST_MOTION = 1e-6
-LARGEST_MOTION = 0.5  # between two samples, too
-_LARGEST_SPEED = 5.0
-LARGEST_FORCE = 1e6
-LARGEST_CURRENT = 50.0
+LARGEST_MOTION, LARGEST_FORCE, LARGEST_CURRENT = 0.5, 1e6, 50.0
+"""Largest plausible span of a displacement [m], also between two samples, force [N], current [A].
+"""
+
 TEMPERATURES = (-60.0, 250.0)
-_PERIODS = (1e-6, 0.1)
+"""Range [°C] of plausible temperatures."""
 
 
 class RecordingError(ValueError):
@@ -124,52 +123,6 @@ class Recording:
     def stamp_ns(self, index: int) -> int:
         """Stamp of a sample [ns since the epoch]."""
         return self.start_ns + round(index * self.period * NANOSECONDS)
-
-    def check_plausible(self) -> None:
-        """Raise RecordingError if the values are impossible for a damper in SI units.
-
-        Data in wrong units pass all other checks, and an identification would accept them.
-        """
-        problem = self.implausible()
-        if problem:
-            raise RecordingError(f"'{self.name}': {problem}")
-
-    def implausible(self) -> str:
-        """Why the values are impossible for a damper in SI units, in one sentence, or empty."""
-        if not _PERIODS[0] <= self.period <= _PERIODS[1]:
-            return f"the sample period is {self.period:.3g} s: is the unit of the time right?"
-        if wrong := wrong_unit(self.displacement, self.force, self.current):
-            return wrong
-        span = float(np.ptp(self.displacement))
-        if span < _SMALLEST_MOTION:
-            return (
-                f"the displacement spans {span * 1e6:.2g} micrometres: the damper did not move, "
-                "or the unit of the displacement is too small"
-            )
-        speed = float(np.sqrt(np.mean(np.diff(self.displacement) ** 2))) / self.period
-        if speed > _LARGEST_SPEED:
-            return f"the rod moves at {speed:.3g} m/s on average: is the unit of the time right?"
-        if np.ptp(self.force) == 0.0:
-            return f"the force is constant at {self.force[0]:.3g} N: is this the right column?"
-        if self.temperature is not None:
-            low, high = float(np.min(self.temperature)), float(np.max(self.temperature))
-            if low < TEMPERATURES[0] or high > TEMPERATURES[1]:
-                return f"the temperature lies between {low:.4g} and {high:.4g} °C: is it in kelvin?"
-        return ""
-
-
-def wrong_unit(displacement: Array, force: Array, current: Array) -> str:
-    """Which of the arrays (n,) is not in m, N and A, in one sentence; empty if all may be."""
-    span = float(np.ptp(displacement))
-    if span > LARGEST_MOTION:
-        return f"the displacement spans {span:.3g} m: is it in millimetres? give it in metres"
-    largest = float(np.max(np.abs(force)))
-    if largest > LARGEST_FORCE:
-        return f"the force reaches {largest:.3g} N: is the unit of the force right?"
-    largest = float(np.max(np.abs(current)))
-    if largest > LARGEST_CURRENT:
-        return f"the current reaches {largest:.3g} A: is it in milliamperes? give it in amperes"
-    return ""
 
 
 BLOCK_SIZE = 10

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import argparse
 
-from mr_damper_ros.rig_check.checks import RigRecord, check_rig
+from mr_damper_ros.data_check.streams import RigRecord, check_rig
+from mr_damper_ros.processes.exits import DOUBTFUL
 from mr_damper_ros.tools.console import add_namespace_option, program
 
 
@@ -29,7 +30,7 @@ def _check(options: argparse.Namespace) -> int:
         observer.spin_for(options.seconds)
     check = check_rig(record)
     print(f"{record.sample_count} samples in {options.seconds:g} s.\n\n{check}".rstrip())
-    return 1 if check.findings else 0
+    return DOUBTFUL if check.warnings else 0
 
 
 main = program("mr-damper check", __doc__, _options, _check)

@@ -183,7 +183,7 @@ def add_path(
 def add_run_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of all programs that read runs."""
     add_path(parser, "bags", "BAG", "bag folder or .mcap file", nargs="+")
-    add_arguments(parser, identify, ["accept_doubtful"])
+    add_arguments(parser, identify, ["accept_doubtful", "as_measured"])
 
 
 def add_namespace_option(parser: argparse.ArgumentParser) -> None:

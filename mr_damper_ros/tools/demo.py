@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.api.comparison import Comparison, save_figures, validate
-from mr_damper_ros.api.findings import estimates_table, parameter_estimates
+from mr_damper_ros.api.details import estimates_table, parameter_estimates
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models.parameter_set import start_set

@@ -8,18 +8,15 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from mr_damper_ros.api.findings import Findings, searches
+from mr_damper_ros.api.details import Details, searches
 from mr_damper_ros.api.identification import AUTO, LARGEST_RUN_NRMSE, Identification, identify
 from mr_damper_ros.estimation.differential_evolution import STRATEGIES
 from mr_damper_ros.estimation.experiment_design import MachineLimits
 from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
 from mr_damper_ros.estimation.record_levels import USUAL_SPREAD
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.processes.exits import FAILED, INTERRUPTED, UNREAD
+from mr_damper_ros.processes.exits import DOUBTFUL, FAILED, INTERRUPTED, UNREAD
 from mr_damper_ros.tools import console
-
-EXPLAINS_TOO_LITTLE = 3
-"""Exit code if the NRMSE of a run exceeds the acceptable limit."""
 
 _OPTIONS = (
     *("model", "method", "start", "seed", "strategy", "generations", "starts", "workers"),
@@ -28,10 +25,11 @@ _OPTIONS = (
 
 
 _EPILOG = f"""\
-Exit code: 0: success; {EXPLAINS_TOO_LITTLE}: the NRMSE of a run exceeds
-{100 * LARGEST_RUN_NRMSE:.0f} %, all results are written; {FAILED}: a bag or an option
-cannot be used; {INTERRUPTED}: Ctrl-C was pressed twice, or after the search;
-{UNREAD}: the output was closed before its end, and files may be missing.
+Exit code: 0: success; {DOUBTFUL}: all results are written, but there is a warning, such
+as an NRMSE above {100 * LARGEST_RUN_NRMSE:.0f} % (0 with --accept-doubtful);
+{FAILED}: a bag or an option cannot be used; {INTERRUPTED}: Ctrl-C was pressed twice,
+or after the search; {UNREAD}: the output was closed before its end, and files may be
+missing.
 """
 
 
@@ -65,7 +63,7 @@ def _identify(options: argparse.Namespace) -> int:
     if options.output is not None:
         result.save(options.output)
     print(result, flush=True)
-    more = Findings([], {})
+    more = Details([], {})
     # After Ctrl-C the user wants the result at once, without another long computation.
     if not progress.stopped:
         more += result.determination(**console.arguments_of(options, Identification.determination))
@@ -75,7 +73,7 @@ def _identify(options: argparse.Namespace) -> int:
         more += result.temperature_maps()
     print(more)
     console.write_result(options, result.document() | more.document, result.runs)
-    return 0 if result.explains else EXPLAINS_TOO_LITTLE
+    return DOUBTFUL if result.warnings else 0
 
 
 main = console.program("mr-damper identify", __doc__, _options, _identify, _EPILOG)

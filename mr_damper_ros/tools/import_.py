@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
+from mr_damper_ros.api.identification import identify
+from mr_damper_ros.data_check.findings import NOTE, Finding, labelled
+from mr_damper_ros.data_check.recordings import usable_run
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.io.columns import UNITS, RecordError
 from mr_damper_ros.io.records import RunsOfFile, read_record
+from mr_damper_ros.processes.exits import DOUBTFUL
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import add_arguments, add_path, arguments_of, program
@@ -59,6 +64,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
         "asks for the currents, unless a column contains them",
     )
     parser.add_argument("--overwrite", action="store_true", help="replace an existing bag")
+    add_arguments(parser, identify, ["accept_doubtful"])
 
 
 def _import(options: argparse.Namespace) -> int:
@@ -69,8 +75,7 @@ def _import(options: argparse.Namespace) -> int:
     if options.currents is not None:
         raise RecordError("--currents needs --split: give --current for a single run")
     recording = read_record(options.file, **arguments_of(options, read_record))
-    _write(options.output, recording, options.overwrite)
-    return 0
+    return _write({options.output: recording}, options)
 
 
 def _import_runs(options: argparse.Namespace) -> int:
@@ -83,9 +88,8 @@ def _import_runs(options: argparse.Namespace) -> int:
     )
     print(f"{options.file.name} holds {len(runs.summaries)} runs:")
     print("\n".join(f"  {number}: {text}" for number, text in enumerate(runs.summaries, start=1)))
-    for recording in runs.recordings(_currents(options, runs)):
-        _write(options.output / recording.name, recording, options.overwrite)
-    return 0
+    recordings = runs.recordings(_currents(options, runs))
+    return _write({options.output / each.name: each for each in recordings}, options)
 
 
 def _currents(options: argparse.Namespace, runs: RunsOfFile) -> float | list[float | None] | None:
@@ -110,10 +114,19 @@ def _ampere(text: str) -> float | None:
         raise RecordError(f"the current '{text}' is not a number: give it in amperes") from None
 
 
-def _write(place: Path, recording: Recording, overwrite: bool) -> None:
-    print(_summary(recording))
-    write_bag(place, recording, overwrite=overwrite)
-    print(f"written to {place}")
+def _write(recordings: Mapping[Path, Recording], options: argparse.Namespace) -> int:
+    """Check the recordings, and write each to its bag if none is refused."""
+    accept, findings = options.accept_doubtful, list[Finding]()
+    for recording in recordings.values():
+        checked = usable_run(recording.name, [recording], accept_doubtful=accept)
+        findings += checked.findings
+        print(_summary(recording))
+        print("\n".join(map(labelled, checked.findings)))
+    for place, recording in recordings.items():
+        write_bag(place, recording, overwrite=options.overwrite)
+        print(f"written to {place}")
+    doubtful = any(finding.severity > NOTE for finding in findings) and not accept
+    return DOUBTFUL if doubtful else 0
 
 
 def _summary(recording: Recording) -> str:
@@ -127,8 +140,6 @@ def _summary(recording: Recording) -> str:
     ]
     if recording.temperature is not None:
         lines.append(_range("temperature", recording.temperature, "°C"))
-    if "note" in recording.details:
-        lines.append(f"note: {recording.details['note']}")
     return "\n".join(lines)
 
 

@@ -6,6 +6,7 @@ import argparse
 
 from mr_damper_ros.api.comparison import validate
 from mr_damper_ros.api.identification import identify
+from mr_damper_ros.processes.exits import DOUBTFUL
 from mr_damper_ros.tools import console
 
 
@@ -22,7 +23,7 @@ def _validate(options: argparse.Namespace) -> int:
     )
     print(result)
     console.write_result(options, result.document(), result.runs)
-    return 0
+    return DOUBTFUL if result.warnings else 0
 
 
 main = console.program("mr-damper validate", __doc__, _options, _validate)

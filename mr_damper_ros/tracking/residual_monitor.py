@@ -17,12 +17,12 @@ from operator import mul, not_
 
 import numpy as np
 
+from mr_damper_ros.data_check.samples import NEGATIVE_POWER
 from mr_damper_ros.kinematics.peak_velocity import HALF_CYCLES
 from mr_damper_ros.models.quantities import NOTICED, SAME_CURRENT
 from mr_damper_ros.signals.arrays import SIGMAS, Array, RollingRows, span_of, white_noise
 from mr_damper_ros.tracking.bumpless_transfer import FADE_TIME
 from mr_damper_ros.tracking.operating_point import RECENT
-from mr_damper_ros.tracking.screening import NEGATIVE_POWER
 from mr_damper_ros.tracking.validity import DoubtKind, Objection, middle
 
 _SHORTEST_MEMORY = 2.0

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from mr_damper_ros.data_check.samples import Samples, check_window
 from mr_damper_ros.estimation.covariance import ENOUGH_TO_COMPARE, SAME_MOTION
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
@@ -84,8 +85,8 @@ from mr_damper_ros.tracking.screening import (
     Screening,
     TooLittleMotionError,
     check_motion,
-    check_samples,
-    fault_of_samples,
+    lack_of_motion,
+    screened,
 )
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
@@ -190,11 +191,6 @@ class TrackerSettings(CheckedSettings):
         "squares) or least_squares (Levenberg-Marquardt only: the same minimum, about five "
         "times faster).",
         choices=WINDOW_METHODS,
-    )
-    robust: bool = option(
-        False,
-        "Whether the influence of force outliers is bounded (Huber's weights). It costs some "
-        "milliseconds per window and has no noticeable effect without outliers.",
     )
     screening: Screening = group(Screening)
     acceptance: AcceptanceSettings = group(AcceptanceSettings)
@@ -425,10 +421,11 @@ def _shows_more(used: ParameterSet, window: Window) -> bool:
 def _screened(job: Job) -> Window:
     """The window of a job; raises DataError or TooLittleMotionError if it cannot be fitted."""
     raw = job.samples
-    samples = raw.displacement, raw.force, raw.current
-    check_samples(*samples, job.settings.screening, job.running.largest_force)
+    given = Samples(raw.displacement, raw.force, raw.current, raw.period)
+    used = screened(given, job.settings.screening, job.running.largest_force)
+    samples = used.displacement, used.force, used.current
     window = Window.from_samples(*samples, raw.period, raw.peak_velocity)
-    check_motion(raw.displacement, window.motion.velocity, window.force)
+    check_motion(used.displacement, window.motion.velocity, window.force)
     return window if raw.force_after is None else window.measured_after(raw.force_after)
 
 
@@ -565,7 +562,7 @@ def _fitted(
     validation = validation_mask(window.sample_count, job.fresh)
     # Only a set that was identified on this damper is evidence.
     prior = running if running.observable.any() else None
-    fitted = partial(fit_window, running.law, robust=options.robust, prior=prior)
+    fitted = partial(fit_window, running.law, prior=prior)
     searched = partial(fitted, method=options.method, should_stop=should_stop)
     training, trials = window.part(~validation), []
     for held in _held_ranges(running, window):
@@ -623,9 +620,11 @@ def _check_change(job: Job, window: Window) -> Outcome:
     validation = validation_mask(count)
     trained = measured_scale(own[~validation], measured[~validation]).value
     scale = measured_scale(own, measured)
-    fault = fault_of_samples(
-        changed.motion.displacement, changed.force, changed.current, job.settings.screening
+    newest_samples = Samples(
+        changed.motion.displacement, changed.force, changed.current, changed.period
     )
+    moves = not lack_of_motion(newest_samples.displacement, job.settings.screening)
+    fault = check_window(newest_samples, moves=moves).refused
     if not (trained > 0.0 and scale.value > 0.0) or fault or np.ptp(changed.force) == 0.0:
         return unchanged  # only a failed sensor gives such a force
     spread = float(np.std(window.force))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.api.findings import parameter_estimates
+from mr_damper_ros.api.details import parameter_estimates
 from mr_damper_ros.api.replay import replay
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global

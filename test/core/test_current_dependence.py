@@ -13,6 +13,7 @@ from fresh_python import alone
 
 import mr_damper_ros as mr
 from mr_damper_ros.api.identification import _fitted_mass
+from mr_damper_ros.data_check.findings import Kind
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
 from mr_damper_ros.kinematics.motion import Motion
@@ -242,7 +243,7 @@ def test_a_variance_that_is_negative_by_rounding_is_unknown(
     found = mr.identify(**shaken(), model="bingham", fit_mass=True)
     assert math.isnan(found.mass.standard_error)
     assert found.mass.value == 0.0
-    assert "the runs do not determine the mass" in found.remarks[-1]
+    assert Kind.UNDETERMINED_MASS in [finding.kind for finding in found.findings]
 
 
 def test_a_known_mass_is_taken_off_the_force() -> None:

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 import mr_damper_ros as mr
-from mr_damper_ros.api import findings
+from mr_damper_ros.api import details
 from mr_damper_ros.api.measured_runs import measured_run
 from mr_damper_ros.campaign.course import planned
 from mr_damper_ros.estimation.experiment_design import RunPlanner
@@ -100,7 +100,7 @@ def test_a_failure_after_the_search_loses_nothing(
     def fails(*_: object) -> None:
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr(findings, "determined", fails)
+    monkeypatch.setattr(details, "determined", fails)
     bag, file = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A", tmp_path / "set.yaml"
     assert identify.main([str(bag), "--method", "least_squares", "--output", str(file)]) == 0
     said = capsys.readouterr().out
@@ -115,7 +115,7 @@ def test_the_result_is_saved_before_anything_else_is_computed(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(findings, "determined", interrupted)
+    monkeypatch.setattr(details, "determined", interrupted)
     bag, file = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A", tmp_path / "set.yaml"
     assert identify.main([str(bag), "--method", "least_squares", "--output", str(file)]) == 130
     assert yaml.safe_load(file.read_text())["model"] == "sigmoid"

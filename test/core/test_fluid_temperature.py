@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.api.findings import temperature_maps
+from mr_damper_ros.api.details import temperature_maps
 from mr_damper_ros.api.measured_runs import measured_run
 from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, ThermalModel
 from mr_damper_ros.emulation.motions import SineMotion

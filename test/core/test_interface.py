@@ -227,4 +227,4 @@ def test_a_run_that_does_not_fit_to_the_others_is_named() -> None:
     found = mr.identify([*[RUN] * 9, odd], method="least_squares")
     assert found.nrmse < 0.3
     assert not found.success
-    assert "EXPLAINS TOO LITTLE OF THE FORCE of the odd one:" in found.message
+    assert "the odd one: the set explains too little of the force" in found.message

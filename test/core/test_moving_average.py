@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mr_damper_ros as mr
-from mr_damper_ros.api.measured_runs import measured_runs, remarks_on
+from mr_damper_ros.api.measured_runs import findings_on, measured_runs
+from mr_damper_ros.data_check.findings import Kind
 from mr_damper_ros.io.columns import RecordError
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.moving_average import find_average, undo_average, undo_average_in_motion
@@ -140,6 +141,8 @@ def test_a_cut_record_too_short_for_its_average_is_refused() -> None:
 
 
 def test_what_was_averaged_is_said_of_a_run() -> None:
-    displacement, force = averaged(motion(3), COUNT), averaged(motion(4), COUNT)
+    moved = 1e-4 * motion(3)
+    displacement, force = averaged(moved, COUNT), averaged(5e3 * np.gradient(moved, 1e-3), COUNT)
     runs = measured_runs([], (displacement, force, 1.0, 1e-3), accept_doubtful=True)
-    assert any("moving average" in text and "50 samples" in text for text in remarks_on(runs))
+    smoothed = [each for each in findings_on(runs) if each.kind is Kind.SMOOTHED]
+    assert {each.value for each in smoothed} == {50.0}

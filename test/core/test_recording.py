@@ -61,30 +61,6 @@ def test_what_is_no_recording_is_refused(changes: dict[str, Any], sentence: str)
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("changes", "sentence"),
-    [
-        ({"displacement": 5.0 * np.sin(60.0 * TIME)}, "is it in millimetres?"),
-        ({"displacement": np.full(100, 0.02)}, "did not move"),
-        ({"displacement": 0.2 * np.sin(600.0 * TIME)}, "is the unit of the time right?"),
-        ({"period": 1.0}, "is the unit of the time right?"),
-        ({"period": 1e-7}, "is the unit of the time right?"),
-        ({"force": 1e7 * np.cos(60.0 * TIME)}, "is the unit of the force"),
-        ({"force": np.full(100, 3.0)}, "is this the right column?"),
-        ({"current": np.full(100, 500.0)}, "is it in milliamperes?"),
-        ({"temperature": np.full(100, 301.0)}, "is it in kelvin?"),
-    ],
-)
-def test_wrong_units_are_named(changes: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(RecordingError, match=r".") as error:
-        recording(**changes).check_plausible()
-    assert sentence in str(error.value)
-
-
-def test_a_damper_in_its_units_is_plausible() -> None:
-    recording(temperature=np.full(100, 28.0)).check_plausible()
-
-
 def test_a_recording_cannot_be_changed_afterwards() -> None:
     displacement = 0.005 * np.sin(60.0 * TIME)
     made = recording(displacement=displacement)

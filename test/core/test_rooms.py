@@ -8,8 +8,8 @@ from pathlib import Path
 PACKAGE = Path(__file__).resolve().parents[2] / "mr_damper_ros"
 
 ROOMS = (
-    *("settings", "processes", "signals", "kinematics", "models", "estimation", "tracking"),
-    *("control", "io", "emulation", "rig", "report", "api", "campaign", "rig_check"),
+    *("settings", "processes", "signals", "kinematics", "models", "data_check", "estimation"),
+    *("tracking", "control", "io", "emulation", "rig", "report", "api", "campaign"),
     *("live", "nodes", "tools"),
 )
 """Each room may import only from those before it. The first two know nothing of dampers."""

@@ -8,7 +8,8 @@ import known
 import numpy as np
 import pytest
 
-from mr_damper_ros.api.measured_runs import measured_runs, remarks_on
+from mr_damper_ros.api.measured_runs import findings_on, measured_runs
+from mr_damper_ros.data_check.findings import NOTE
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.columns import RecordError
 from mr_damper_ros.io.records import RunsOfFile, read_runs
@@ -159,7 +160,7 @@ def recording(name: str, current: float, force: Array | None = None, **options: 
 
 
 def remarks(*runs: Recording) -> list[str]:
-    return list(remarks_on(measured_runs(runs)))
+    return [str(each) for each in findings_on(measured_runs(runs)) if each.severity > NOTE]
 
 
 def test_runs_of_one_damper_at_the_currents_they_were_made_at_are_in_order() -> None:
@@ -177,4 +178,5 @@ def test_a_run_that_holds_two_currents_is_said_to() -> None:
 def test_two_runs_that_contradict_each_other_are_named(first: float, second: float) -> None:
     weak, strong = (known.run(current=i, frequency=2.0, samples=SAMPLES).force for i in (0.0, 1.5))
     (remark,) = remarks(recording("a", first, weak), recording("b", second, strong))
-    assert remark.startswith("a and b: the force reaches")
+    assert remark.startswith("a: the force reaches")
+    assert "in b, at the same speed" in remark

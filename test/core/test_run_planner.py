@@ -100,7 +100,7 @@ def test_a_run_that_makes_no_sense_is_made_once_more() -> None:
         asked.append(run)
         return replace(perform(run), force=np.zeros(round(run.duration * 500.0)))
 
-    with pytest.raises(ValueError, match="load cell"):
+    with pytest.raises(ValueError, match="the force does not change"):
         run_campaign(GOAL, LIMITS, dead)
     assert len(asked) == 2
     assert asked[0] == asked[1]

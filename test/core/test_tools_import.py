@@ -285,7 +285,6 @@ def test_columns_that_cannot_be_meant(columns: str, sentence: str) -> None:
         (COLUMNS, {"current": 1.0, "start": 0.2, "stop": 0.1}, "give the earlier time first"),
         (COLUMNS, {"current": 1.0, "variable": "data"}, "is a text file and has no variables"),
         (COLUMNS + ",-,temperature:K", {"current": 1.0}, "columns 1, 2, 3, 5: its line"),
-        (COLUMNS.replace("mm", "m"), {"current": 1.0}, "is it in millimetres?"),
     ],
 )
 def test_options_that_contradict_the_record(

@@ -176,29 +176,6 @@ def test_a_force_without_noise_is_fitted_exactly_and_without_a_warning(
     np.testing.assert_allclose(fit.coefficients, run.coefficients, rtol=1e-11)
 
 
-def with_outliers(seed: int) -> known.Run:
-    """A run in which every twentieth sample has a large error to one side."""
-    run = known.run(current=1.0, seed=seed)
-    rng = np.random.default_rng(1000 + seed)
-    hit = rng.random(run.force.size) < 0.05
-    measured = run.force + np.where(hit, rng.uniform(200.0, 600.0, hit.size), 0.0)
-    return known.Run(**{**vars(run), "force": measured})
-
-
-def test_outliers_hardly_touch_the_robust_fit() -> None:
-    errors = []
-    for seed in range(10):
-        run = with_outliers(seed)
-        fit = fit_window(SIGMOID, run.window, LITERATURE, robust=True)
-        errors.append(
-            (fit.coefficients - run.coefficients) / np.sqrt(np.diag(cramer_rao_bound(run)))
-        )
-    # In units of the bound; the median of a normal error is 0.7.
-    assert np.median(np.abs(errors)) < 1.5
-    # In units of the bound; one-sided outliers bias the offset of Huber's estimate.
-    assert np.max(np.abs(errors)) < 8.0
-
-
 # -- stop and errors -------------------------------------------------------------------------
 
 

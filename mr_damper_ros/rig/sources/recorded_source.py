@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mr_damper_ros.data_check.recordings import require_units
 from mr_damper_ros.rig.sources.source import Source
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
@@ -50,7 +51,7 @@ class RecordedSource(Source):
         self._recordings = self.settings.read()
         found = []
         for recording in self._recordings:
-            recording.check_plausible()
+            require_units(recording)
             details = "".join(f"; {key}: {value}" for key, value in recording.details.items())
             size = f"{recording.sample_count} samples, {recording.duration:.3g} s"
             found.append(f"{recording.name}: {size}{details}")

@@ -1,4 +1,4 @@
-"""Results of an identification: estimates with standard errors, findings, and their tables."""
+"""Details of an identification: estimates with standard errors, advice, and their tables."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.api.measured_runs import MeasuredRun
+from mr_damper_ros.data_check.findings import Finding, Kind
 from mr_damper_ros.estimation.experiment_design import MachineLimits, extra_runs
 from mr_damper_ros.estimation.global_fit import GlobalFit
 from mr_damper_ros.estimation.multi_start import MultiStart
@@ -78,28 +79,30 @@ def parameter_estimates(
     return estimates
 
 
-def negative_slopes(runs: Mapping[str, Estimates], found: ParameterSet) -> list[str]:
-    """Remarks on negative stiffnesses and viscous slopes in the coefficients of each run."""
+def negative_slopes(runs: Mapping[str, Estimates], found: ParameterSet) -> list[Finding]:
+    """Details on negative stiffnesses and viscous slopes in the coefficients of each run."""
     entries: dict[str, list[tuple[str, Estimate]]] = {}
     for run, estimates in runs.items():
         for name, entry in estimates.items():
             if "stiffness" in entry.meaning or "viscous" in entry.meaning:
-                entries.setdefault(name, []).append((f" in {run}", entry))
+                entries.setdefault(name, []).append((run, entry))
     stiffness = parameter_estimates(found).get("stiffness")
     if stiffness is not None and stiffness.observable:
         entries["stiffness"] = [("", replace(stiffness, meaning="stiffness"))]
-    remarks = []
+    negative = []
     for name, each in entries.items():
         # A negative value counts from two standard errors below zero.
         below = [(where, e) for where, e in each if e.value < -2.0 * e.standard_error]
         if below:
             where, worst = min(below, key=lambda one: one[1].value)
-            remarks.append(
-                f"the {worst.meaning} {name} is negative ({worst}){where}: it fits the runs, but "
-                "is impossible for a damper, so do not trust the force outside the range of "
-                "the runs"
+            found_here = Kind.NEGATIVE_SLOPE.found(
+                value=worst.value,
+                error=worst.standard_error,
+                meaning=f"{worst.meaning} {name}",
+                estimate=worst,
             )
-    return remarks
+            negative.append(replace(found_here, source=where))
+    return negative
 
 
 def estimates_table(heading: str, estimates: Estimates) -> Grid:
@@ -175,11 +178,10 @@ def _pieces(window: Window, celsius: Array) -> Iterator[tuple[Window, float]]:
 
 
 @dataclass(frozen=True, eq=False)
-class Findings:
+class Details:
     """Further results of an identification, besides the parameter set.
 
-    ``lines`` hold one finding each, as text; ``document`` holds the same findings as
-    JSON-compatible values.
+    ``lines`` hold one detail each, as text; ``document`` holds the same as JSON-compatible values.
     """
 
     lines: list[str]
@@ -191,19 +193,19 @@ class Findings:
     def __str__(self) -> str:
         return "\n".join(self.lines)
 
-    def __add__(self, other: Findings) -> Findings:
-        return Findings(self.lines + other.lines, self.document | other.document)
+    def __add__(self, other: Details) -> Details:
+        return Details(self.lines + other.lines, self.document | other.document)
 
 
-def attempted(what: str, compute: Callable[[], Findings]) -> Findings:
-    """The findings that ``compute`` returns, or a line that says that it failed.
+def attempted(what: str, compute: Callable[[], Details]) -> Details:
+    """The details that ``compute`` returns, or a line that says that it failed.
 
     What is computed after a search must not lose its result.
     """
     try:
         return compute()
     except (ValueError, ArithmeticError) as error:
-        return Findings([f"{what} could not be computed: {error}"], {})
+        return Details([f"{what} could not be computed: {error}"], {})
 
 
 def _entry(of: object, *names: str) -> dict[str, Any]:
@@ -211,7 +213,7 @@ def _entry(of: object, *names: str) -> dict[str, Any]:
     return {name: getattr(of, name) for name in names}
 
 
-def determined(fit: GlobalFit, windows: Sequence[Window], rig: MachineLimits) -> Findings:
+def determined(fit: GlobalFit, windows: Sequence[Window], rig: MachineLimits) -> Details:
     """The determined parameters, and runs within the range of the rig that would determine more."""
     found, noise = fit.parameter_set, max(float(np.median(fit.noise)), 1e-9)
     misfit = fit.misfit(windows)
@@ -236,11 +238,11 @@ def determined(fit: GlobalFit, windows: Sequence[Window], rig: MachineLimits) ->
         ],
     }
     advice = [asdict(run) | _entry(run, "sentence") for run in runs]
-    return Findings(lines, {"determination": entry, "advice": advice})
+    return Details(lines, {"determination": entry, "advice": advice})
 
 
-def profiles(fit: GlobalFit, found: Sequence[Profile]) -> Findings:
-    """The profile likelihoods of a fit as findings."""
+def profiles(fit: GlobalFit, found: Sequence[Profile]) -> Details:
+    """The profile likelihoods of a fit."""
     values = fit.parameter_set.as_dict()
     lines, document = [], {}
     for p in found:
@@ -250,10 +252,10 @@ def profiles(fit: GlobalFit, found: Sequence[Profile]) -> Findings:
             line += f", WHICH EXCLUDES THE IDENTIFIED VALUE, {values[p.name]:.6g}"
         lines.append(line)
         document[p.name] = _entry(p, "values", "ratio", "best", "interval")
-    return Findings(lines, {"profiles": document})
+    return Details(lines, {"profiles": document})
 
 
-def searches(found: MultiStart) -> Findings:
+def searches(found: MultiStart) -> Details:
     """Costs of the searches and their candidates, and the agreement of the best searches."""
     best, spread = found.best, found.spread
     names = best.parameter_set.law.parameter_names
@@ -284,10 +286,10 @@ def searches(found: MultiStart) -> Findings:
             for each in fit.candidates
         ]
         entries.append(entry)
-    return Findings(lines, {"searches": entries, "spread": dict(zip(names, spread, strict=True))})
+    return Details(lines, {"searches": entries, "spread": dict(zip(names, spread, strict=True))})
 
 
-def temperatures(maps: Sequence[TemperatureMap]) -> Findings:
+def temperatures(maps: Sequence[TemperatureMap]) -> Details:
     """Change of the force with temperature, and accuracy of the temperature from the force."""
     lines, entries = [], []
     for found in maps:
@@ -311,4 +313,4 @@ def temperatures(maps: Sequence[TemperatureMap]) -> Findings:
                 "force_scale_standard_error": [scale.standard_error for scale in scales],
             }
         )
-    return Findings(lines, {"temperature_maps": entries})
+    return Details(lines, {"temperature_maps": entries})

@@ -1,0 +1,1 @@
+"""One check of measured data, for streams and for files: evidence, severity and remedy."""

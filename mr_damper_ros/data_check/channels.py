@@ -1,0 +1,283 @@
+"""Evidence in the samples of one channel: clipping, spikes, held values, hum, coarse steps."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from mr_damper_ros.signals.arrays import Array, Mask, white_noise
+
+
+def stretches(mask: Mask) -> list[slice]:
+    """The stretches of consecutive true values of a mask (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.view(np.int8), [0])))).tolist()
+    return [slice(*ends) for ends in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def longest(found: list[slice]) -> slice:
+    """The longest stretch; an empty one if there is none."""
+    return max(found, key=lambda each: each.stop - each.start, default=slice(0, 0))
+
+
+def extent(values: Array) -> tuple[float, float]:
+    """Centre and half the range of values (n,) without rare outliers."""
+    low, high = np.quantile(values, (0.01, 0.99))
+    return 0.5 * float(high + low), 0.5 * float(high - low)
+
+
+_COARSE = 0.02
+"""Smallest step, in standard deviations of the channel, that counts as coarse quantisation."""
+
+
+def coarse_step(values: Array) -> float:
+    """The quantisation step if it is coarse, otherwise 0."""
+    steps = np.abs(np.diff(values))
+    steps = steps[steps > 1e-9 * float(np.ptp(values))]
+    step = float(steps.min()) if steps.size else 0.0
+    return step if step > _COARSE * float(np.std(values)) else 0.0
+
+
+# -- clipping --------------------------------------------------------------------------------
+
+_CLIPPED = 0.02
+"""Smallest fraction of samples at its extreme for which a signal counts as clipped."""
+
+_STAY = 8
+"""Shortest stay at an extreme, in samples, that is judged."""
+
+_RESOLVED = 8.0
+"""The approach to an extreme is judged over a distance of so many steps of the finest digit."""
+
+_ARRIVAL_PART = 0.37
+"""A signal is clipped if it covers more than this fraction of the approach in the second half. At
+constant speed this fraction is a half; if it comes to rest, it is a quarter, and if it approaches a
+limit exponentially, 0.35 at the resolved distance."""
+
+
+def clipped_at(values: Array) -> list[float]:
+    """The extremes of a signal (n,) at which it stays, and where it arrives without slowing down.
+
+    A machine that rests at a dead centre, or a sine with a coarse resolution, approaches its
+    extreme slowly and is not clipped. Noise above the finest digit does not repeat a value for
+    long, so that then every stay is clipped.
+    """
+    steps = np.abs(np.diff(values))
+    finest = float(np.min(steps[steps > 0.0], initial=np.inf))
+    found = []
+    for extreme in (float(values.min()), float(values.max())):
+        at_extreme = values == extreme
+        if at_extreme.mean() < _CLIPPED:
+            continue
+        stays = [stay for stay in stretches(at_extreme) if stay.stop - stay.start >= _STAY]
+        if not stays:
+            continue
+        noisy = white_noise(values[~at_extreme]) > finest
+        if noisy or _arrives_at_speed(np.abs(values - extreme), stays, finest):
+            found.append(extreme)
+    return found
+
+
+def _arrives_at_speed(below: Array, stays: list[slice], finest: float) -> bool:
+    """Whether a signal reaches its extreme, at which it ``stays``, without slowing down.
+
+    ``below`` (n,) is the distance from the extreme; ``finest`` is the finest digit of the signal.
+    """
+    edges = np.array([(stay.start - 1, stay.stop) for stay in stays])
+    for reach in 2 ** np.arange(1, int(math.log2(below.size))):
+        ways = np.concatenate(
+            (edges[:, :1] - np.array([reach, 2 * reach]), edges[:, 1:] + reach * np.array([1, 2]))
+        )
+        ways = ways[np.all((ways >= 0) & (ways < below.size), axis=1)]
+        if not ways.size:
+            return False
+        near, far = below[ways].mean(axis=0)
+        if far > _RESOLVED * finest:
+            return bool(near > _ARRIVAL_PART * far)
+    return False
+
+
+# -- spikes ----------------------------------------------------------------------------------
+
+_OUTLIER, _JUMP = 12.0, 0.1
+"""A spike leaves its surroundings by this multiple of the noise or this part of the range,
+whichever is larger, and comes back."""
+
+_WIDEST = 5
+"""Largest width of a spike in samples."""
+
+_CYCLE_PART = 0.02
+"""Largest width of a spike in cycles of the motion: a force that reverses leaves and comes back,
+too, but takes longer."""
+
+
+def spikes(values: Array, samples_per_cycle: float) -> Mask:
+    """Mask (n,) of the spikes of a signal: short excursions that begin and end at one level.
+
+    ``samples_per_cycle`` of the motion limits their width.
+    """
+    marked = np.zeros(values.size, dtype=bool)
+    limit = max(_OUTLIER * white_noise(values), 2.0 * _JUMP * extent(values)[1])
+    widest = min(_WIDEST, max(int(_CYCLE_PART * samples_per_cycle), 1))
+    for width in range(1, widest + 1):
+        if values.size <= width + 1:
+            break
+        before, after = values[: -width - 1], values[width + 1 :]
+        low, high = np.minimum(before, after) - limit, np.maximum(before, after) + limit
+        for place in range(width):
+            inside = values[place + 1 : values.size - width + place]
+            marked[place + 1 : values.size - width + place] |= (inside < low) | (inside > high)
+    return marked
+
+
+# -- held values -----------------------------------------------------------------------------
+
+_FAST = 0.5
+"""Steps above this part of the largest usual step show the rate at which a channel is renewed."""
+
+_HELD = 0.95
+"""A channel is held if so large a part of the pauses between large steps is a multiple of one."""
+
+
+def held_steps(values: Array) -> int:
+    """Number of samples for which a channel (n,) holds each value; 1 if it is renewed with each."""
+    steps = np.abs(np.diff(values))
+    changed = np.flatnonzero(steps)
+    if changed.size < 2 * _STAY:
+        return 1
+    finest = float(steps[changed].min())
+    large = changed[
+        steps[changed] > max(_FAST * float(np.quantile(steps[changed], 0.9)), 1.5 * finest)
+    ]
+    pauses = np.diff(large)
+    if pauses.size < _STAY:
+        return 1
+    usual = int(np.median(pauses))
+    if (
+        usual < 2
+        or float(np.mean(np.abs(pauses / usual - np.round(pauses / usual)) * usual <= 1.0)) < _HELD
+    ):
+        return 1
+    # Between two renewals, the value is the same.
+    return usual if changed.size < 1.5 * values.size / usual else 1
+
+
+# -- disturbances that stand apart -----------------------------------------------------------
+
+_WIDTHS = (0.1, 0.5, 2.0, 6.0)
+"""Half-widths [Hz] of the bands in which a disturbance is looked for."""
+
+_MOST = 0.99
+"""Part of the power of a displacement that belongs to the motion, whatever disturbs it."""
+
+_LEAST_LINES = 2
+"""Smallest half-width of a band in spectral lines, which the window of the spectrum widens."""
+
+_REACH, _HARMONICS = 12.0, 2.2
+"""The surroundings of a band reach so many half-widths, and multiples of the fastest motion, to
+either side. The odd harmonics of the motion are two multiples apart."""
+
+_OWN = 4
+"""Half-widths to either side of a band that may belong to it, because its frequency wanders."""
+
+_APART = 3.0
+"""A band stands apart if its amplitude exceeds the largest of the surroundings by this factor."""
+
+
+SIDEBANDS, _ANSWERED = 5.0, 2.0
+"""Distance of the sidebands of a line, in multiples of the fastest motion, and the factor by which
+a channel that answers the line exceeds its harmonics beyond."""
+
+
+class Line(NamedTuple):
+    """A disturbance: ``frequency`` [Hz], ``amplitude``, and ``width`` [Hz], half of its band."""
+
+    frequency: float
+    amplitude: float
+    width: float
+
+
+class Spectrum:
+    """Spectrum of a channel (n,) sampled every ``period`` [s], in bands of several widths."""
+
+    def __init__(self, values: Array, period: float) -> None:
+        weights = np.hanning(values.size)
+        power = np.abs(np.fft.rfft((values - values.mean()) * weights)) ** 2
+        # The power of a sine of amplitude 1 is a half.
+        power *= 4.0 / (float(np.sum(weights**2)) * values.size)
+        self._sums = np.concatenate(([0.0], np.cumsum(power)))
+        self._step = 1.0 / (values.size * period)
+
+    @property
+    def fastest(self) -> float:
+        """Frequency [Hz] below which nearly all power lies."""
+        return float(np.searchsorted(self._sums[1:], _MOST * self._sums[-1]) * self._step)
+
+    def _half(self, width: float) -> int:
+        """Half-width of a band in spectral lines."""
+        return max(round(width / self._step), _LEAST_LINES)
+
+    def _bands(self, width: float) -> Array:
+        """Amplitude of the sine with the power of the band around each spectral line, (m,)."""
+        count, half = self._sums.size - 1, self._half(width)
+        lines = np.arange(count)
+        last, first = np.minimum(lines + half + 1, count), np.maximum(lines - half, 0)
+        return np.asarray(np.sqrt(np.maximum(self._sums[last] - self._sums[first], 0.0)))
+
+    def amplitude(self, line: Line) -> float:
+        """Amplitude of this channel in the band of a line."""
+        return float(self._bands(line.width)[round(line.frequency / self._step)])
+
+    def answers(self, line: Line, fastest: float) -> bool:
+        """Whether this channel exceeds its harmonics of the motion in the band of a line.
+
+        Where it depends on the line and on the motion, it has sidebands, too. The comparison
+        therefore begins some harmonics above the line.
+        """
+        bands, place = self._bands(line.width), round(line.frequency / self._step)
+        away = max(round(SIDEBANDS * fastest / self._step), 2 * _OWN * self._half(line.width))
+        above = bands[place + away : place + 2 * away]
+        return bool(above.size and bands[place] > _ANSWERED * float(above.max()))
+
+    def standing_apart(self, fastest: float) -> list[Line]:
+        """The bands that stand apart from their surroundings, the narrowest first."""
+        found: list[Line] = []
+        for width in _WIDTHS:
+            bands = self._bands(width)
+            for place in self._peaks(bands, self._half(width)):
+                line = Line(float(place * self._step), float(bands[place]), width)
+                known = any(
+                    abs(line.frequency - other.frequency) < width + other.width for other in found
+                )
+                if not known and self._stands_apart(bands, place, width, fastest):
+                    found.append(line)
+        return found
+
+    def _stands_apart(self, bands: Array, place: int, width: float, fastest: float) -> bool:
+        half = self._half(width)
+        reach = max(round(max(_REACH * width, _HARMONICS * fastest) / self._step), 2 * _OWN * half)
+        if place < reach or place + reach >= bands.size:
+            return False
+        beside = bands[place - reach : place + reach + 1].copy()
+        beside[reach - _OWN * half : reach + _OWN * half + 1] = 0.0
+        return bool(bands[place] > _APART * float(beside.max()))
+
+    @staticmethod
+    def _peaks(bands: Array, half: int) -> list[int]:
+        """Places of the largest value within ``half`` lines to either side."""
+        from scipy.ndimage import maximum_filter1d  # imported late: see entry_points
+
+        peaks: list[int] = np.flatnonzero(bands == maximum_filter1d(bands, 2 * half + 1)).tolist()
+        return peaks
+
+
+def without_lines(values: Array, lines: list[Line], period: float) -> Array:
+    """The channel (n,) without the bands of these lines, filtered forward and backward."""
+    from scipy.signal import butter, sosfiltfilt  # imported late: see entry_points
+
+    for line in lines:
+        band = np.array([-2.0, 2.0]) * line.width + line.frequency
+        band = np.clip(band, 0.2 * line.frequency, 0.499 / period)
+        values = sosfiltfilt(butter(2, band, "bandstop", fs=1.0 / period, output="sos"), values)
+    return np.asarray(values)

@@ -1,0 +1,173 @@
+"""Currents that contradict the forces, within a run and between runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from mr_damper_ros.data_check.findings import Finding, Kind
+from mr_damper_ros.kinematics.window import TURN, Window, turning_points
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.quantities import SAME_CURRENT
+from mr_damper_ros.signals.arrays import SIGMAS, Array
+
+_CONTRADICTING = 1.5
+"""Ratio of loop heights above which runs contradict each other.
+
+Heating to 70 °C causes a ratio of 1.35.
+"""
+
+
+def current_findings(runs: Mapping[str, Sequence[Window]]) -> list[Finding]:
+    """Findings on currents that are inconsistent with the heights of the loops, by run.
+
+    The force increases with the current. At equal current and speed, only the temperature changes
+    it.
+    """
+    found, middles = list[Finding](), dict[str, tuple[float, float, float]]()
+    for name, windows in runs.items():
+        table = _fast_cycles(windows)
+        if len(table):
+            found += [replace(each, source=name) for each in _within(table)]
+            speed, current, height = np.median(table, axis=0).tolist()
+            middles[name] = speed, current, height
+    pairs = {pair: _ratio(*(middles[name] for name in pair)) for pair in combinations(middles, 2)}
+    named = set[str]()
+    for pair in sorted(pairs, key=pairs.__getitem__, reverse=True):
+        # One wrong current contradicts every other run.
+        if pairs[pair] > _CONTRADICTING and named.isdisjoint(pair):
+            named.update(pair)
+            one, two = pair
+            (_, i1, f1), (_, i2, f2) = middles[one], middles[two]
+            each = Kind.CONTRADICTING.found(
+                "current", value=pairs[pair], f1=f1, i1=i1, f2=f2, i2=i2, other=two
+            )
+            found.append(replace(each, source=one))
+    return found
+
+
+def _fast_cycles(windows: Sequence[Window]) -> Array:
+    """Peak velocity [m/s], current [A] and loop height [N] of the fastest cycles, shape (n, 3).
+
+    These reach 85 % of the largest peak velocity.
+    """
+    found = []
+    for window in windows:
+        position = window.motion.displacement
+        strokes = turning_points(position.tolist(), TURN * float(np.ptp(position))).tolist()
+        for first, last in zip(strokes, strokes[2:], strict=False):
+            cycle = slice(first, last)
+            current = window.current[cycle]
+            if float(np.ptp(current)) <= SAME_CURRENT:
+                speed = float(np.max(np.abs(window.motion.velocity[cycle])))
+                height = 0.5 * float(np.ptp(window.force[cycle]))
+                found.append((speed, float(np.mean(current)), height))
+    table = np.array(found).reshape(-1, 3)
+    return table[table[:, 0] >= 0.85 * table[:, 0].max(initial=0.0)]
+
+
+def _within(table: Array) -> list[Finding]:
+    """A finding on different loop heights at one current.
+
+    It compares the second smallest and the second largest height, so that a single disturbance
+    causes none.
+    """
+    _, currents, every = table.T
+    for current in np.unique(np.round(currents / SAME_CURRENT)) * SAME_CURRENT:
+        heights = np.sort(every[np.abs(currents - current) <= SAME_CURRENT])
+        if heights.size >= 4 and heights[-2] > _CONTRADICTING * heights[1]:
+            ratio, ends = heights[-2] / heights[1], {"low": heights[1], "high": heights[-2]}
+            return [Kind.SEVERAL_CURRENTS.found("current", value=ratio, current=current, **ends)]
+    return []
+
+
+def _ratio(one: tuple[float, float, float], two: tuple[float, float, float]) -> float:
+    """Ratio by which the forces of two runs contradict their currents; 0 at different speeds.
+
+    The arguments are peak velocity [m/s], current [A] and force [N].
+    """
+    (v1, i1, f1), (v2, i2, f2) = one, two
+    if abs(v1 - v2) > 0.2 * max(v1, v2):
+        return 0.0
+    if abs(i1 - i2) <= SAME_CURRENT:
+        return max(f1, f2) / min(f1, f2)
+    return f1 / f2 if i1 < i2 else f2 / f1
+
+
+_LATEST, _STEP = 0.3, 0.01
+"""Largest shift of a current that is tried, and the step between two [s]."""
+
+_PARTS = 10
+"""Number of parts of the windows whose scatter gives the error of the shift."""
+
+_SAMPLES = 4000
+"""Approximate number of samples of a window that are compared."""
+
+_FOLLOWS, _PRECEDES = 0.03, 0.01
+"""Delay [s] with which the field of a damper may follow its current, and by which a force seems to
+precede its current because of the error of the law."""
+
+_BETTER = 0.9
+"""Part of the squared error that is left with a shift that is reported, at most."""
+
+
+def current_lateness(found: ParameterSet, windows: Sequence[Window]) -> tuple[float, float]:
+    """How much later than the current the force changes [s], and its standard error [s].
+
+    It is the shift of the current with which a set explains the windows best, relative to the
+    current as it was recorded. NaN with an infinite error if the current is constant, or if no
+    shift explains the windows much better.
+    """
+    changing = [w for w in windows if float(np.ptp(w.current)) > 2.0 * SAME_CURRENT]
+    shifts = np.arange(-_LATEST, _LATEST + 0.5 * _STEP, _STEP)
+    if not changing:
+        return math.nan, math.inf
+    errors = np.array([_squared_errors(found, changing, shift) for shift in shifts.tolist()])
+
+    def best(sums: Array) -> float:
+        """The shift at the minimum of a parabola through the smallest of the errors (m,)."""
+        place = int(np.clip(np.argmin(sums), 1, sums.size - 2))
+        before, least, after = sums[place - 1 : place + 2]
+        bend = before - 2.0 * least + after
+        return float(shifts[place] + 0.5 * _STEP * (before - after) / bend if bend > 0.0 else 0.0)
+
+    whole = errors.sum(axis=1)
+    if whole.min() > _BETTER * whole[shifts.size // 2]:
+        return math.nan, math.inf
+    without = [best(whole - part) for part in errors.T]
+    return best(whole), math.sqrt((_PARTS - 1) * float(np.var(without)))
+
+
+def lateness_finding(late: float, error: float) -> list[Finding]:
+    """A finding on a force that follows the current too late, or precedes it; both in [s]."""
+    limit = _FOLLOWS if late > 0.0 else _PRECEDES
+    if not abs(late) > max(limit, SIGMAS * error):
+        return []
+    direction = "later" if late > 0.0 else "earlier"
+    return [
+        Kind.CURRENT_SKEW.found(
+            "current", value=late, error=error, late=abs(late), doubt=error, direction=direction
+        )
+    ]
+
+
+def _squared_errors(found: ParameterSet, windows: Sequence[Window], shift: float) -> Array:
+    """Squared errors [N²] of the set with a shifted current, summed over each part, (parts,)."""
+    sums = np.zeros(_PARTS)
+    for window in windows:
+        few = _shifted(window, shift).thinned(_SAMPLES)
+        square = (found.window_force(few) - few.force) ** 2
+        sums += [float(part.sum()) for part in np.array_split(square, _PARTS)]
+    return sums
+
+
+def _shifted(window: Window, shift: float) -> Window:
+    """The window with its current ``shift`` [s] later."""
+    places = np.arange(window.sample_count) - round(shift / window.period)
+    current = window.current[places.clip(0, window.sample_count - 1)]
+    whole = None if window.whole is None else _shifted(window.whole, shift)
+    return replace(window, current=current, whole=whole)

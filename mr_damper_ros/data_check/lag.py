@@ -1,0 +1,181 @@
+"""Delay between force and motion: skew of the channels, and hysteresis that runs backward."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from mr_damper_ros.data_check.channels import extent
+from mr_damper_ros.kinematics.motion import SavitzkyGolay
+from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array
+
+_FEWEST = 8
+"""Smallest number of reversals for the regression."""
+
+_SMOOTHED = 40.0
+"""The half-width of the smoothing is the median cycle divided by this."""
+
+_SMALL = 0.25
+"""Fraction of the 90 % quantile of the speed that must be reached between two reversals."""
+
+_CROSSING_PART = 0.25
+"""Fraction of a cycle around a reversal in which the force must cross zero."""
+
+_CYCLE_RATIO = 1.3
+"""Smallest ratio of the longest to the shortest cycle for the regression."""
+
+_FAR = 4.0
+
+_LAW_ERROR = 4e-4
+"""Additional standard error [s], because hysteresis is not exactly a fraction of the cycle. It is
+the error of the skew for emulated dampers without skew."""
+
+_PARTS = 20
+"""Largest number of parts of a record whose scatter gives the error of the lead."""
+
+_PAST_CYCLES, _EQUAL_CYCLES = 4, 0.05
+"""Number of past cycles that affect the hysteresis, and their largest relative difference."""
+
+
+_UNKNOWN = (math.nan, math.inf)
+
+
+class Lead(NamedTuple):
+    """How much earlier than the motion the force reverses [s], and its standard ``error`` [s].
+
+    ``mass`` [kg] is the mass whose inertia would give such a lead.
+    """
+
+    seconds: float
+    error: float
+    mass: float
+
+
+def motion_frequency(displacement: Array, period: float) -> float:
+    """Approximate frequency [Hz] of a motion (n,), 0 if it cannot be estimated."""
+    coarse = max(round(5e-3 / period), 1)
+    means = displacement[: displacement.size // coarse * coarse].reshape(-1, coarse).mean(axis=1)
+    if means.size < 3 or np.std(means) == 0.0:
+        return 0.0
+    velocity = float(np.std(np.diff(means))) / (coarse * period)
+    return velocity / (2.0 * math.pi * float(np.std(means)))
+
+
+def _smoother(displacement: Array, period: float) -> SavitzkyGolay | None:
+    """Smoothing over a small part of a cycle; None for too few samples."""
+    frequency = motion_frequency(displacement, period)
+    half = max(round(1.0 / (_SMOOTHED * frequency * period)), 3) if frequency else 3
+    return SavitzkyGolay(2 * half + 1, 3) if displacement.size >= 8 * half + 4 else None
+
+
+def smooth_velocity(displacement: Array, period: float) -> Array:
+    """Velocity [m/s] of a displacement (n,) [m], smoothed over a small part of a cycle, (n,)."""
+    smooth = _smoother(displacement, period)
+    if smooth is None:
+        return np.gradient(displacement, period)
+    return smooth.derivative(displacement, 1, period)
+
+
+def force_lead(displacement: Array, force: Array, period: float) -> Lead:
+    """How much earlier than the motion the force reverses, which no hysteresis explains.
+
+    The phase of the force against the velocity follows from its power with velocity and
+    acceleration. A force that lags, and a stiffness, make the power with the acceleration negative;
+    inertia and a force recorded early make it positive. The error follows from the scatter of equal
+    parts of the record. A lead that cannot be estimated is NaN, with an infinite error.
+    """
+    smooth = _smoother(displacement, period)
+    parts = min(int(motion_frequency(displacement, period) * displacement.size * period), _PARTS)
+    if smooth is None or parts < 2:
+        return Lead(*_UNKNOWN, math.inf)
+    edge = smooth.length
+    velocity = smooth.derivative(displacement, 1, period)[edge:-edge]
+    acceleration = smooth.derivative(displacement, 2, period)[edge:-edge]
+    centred = force[edge:-edge] - extent(force)[0]
+    size = centred.size // parts
+    products = np.stack((centred * velocity, centred * acceleration, velocity**2, acceleration**2))[
+        :, : size * parts
+    ]
+    sums = products.reshape(4, parts, size).sum(axis=2)
+
+    def lead(power: Array, early: Array, speed: Array, change: Array) -> Array:
+        rate = np.sqrt(change / speed)
+        return np.asarray(np.arctan2(early / rate, power) / rate)
+
+    whole = sums.sum(axis=1)
+    # Jackknife: the estimate without each part in turn.
+    without = lead(*(whole[:, np.newaxis] - sums))
+    error = math.sqrt((parts - 1) * float(np.var(without)))
+    return Lead(float(lead(*whole)), error, float(whole[1] / whole[3]))
+
+
+def channel_skew(displacement: Array, force: Array, period: float) -> tuple[float, float]:
+    """How much later than the displacement (n,) the force (n,) is measured [s], and the error [s].
+
+    After a reversal, the damper force crosses zero with a delay. One part is the hysteresis, a
+    fraction of the cycle (v_h is proportional to the peak velocity). The other part is the skew of
+    the channels, a constant time. At several frequencies, the delay is a linear function of the
+    cycle length, and the skew is its intercept; one frequency cannot separate them. A constant lag
+    in the damper itself, as from a compliant mount or fluid, counts as skew. A skew that cannot be
+    estimated is NaN, with an infinite standard error.
+    """
+    smooth = _smoother(displacement, period)
+    if smooth is None:
+        return _UNKNOWN
+    velocity = smooth.derivative(displacement, 1, period)
+    turns, direction = _reversals(velocity, _SMALL * float(np.quantile(np.abs(velocity), 0.9)))
+    if turns.size < 2 * _FEWEST:
+        return _UNKNOWN
+    zeros, rising = _reversals(smooth.derivative(force - extent(force)[0]), 0.0)
+    cycles = turns[2:] - turns[:-2]
+    lags = np.full(cycles.size, math.nan)
+    for k, (turn, cycle) in enumerate(zip(turns[1:-1], cycles, strict=True)):
+        # Only crossings in the direction of the motion count.
+        near = zeros[(np.abs(zeros - turn) < _CROSSING_PART * cycle) & (rising == direction[k + 1])]
+        if near.size:
+            lags[k] = np.median(near) - turn
+    # An offset of the force shifts alternate reversals in opposite directions.
+    pairs = np.stack([lags, cycles], axis=1)[: lags.size // 2 * 2].reshape(-1, 2, 2).mean(axis=1)
+    lags, cycles = period * pairs[np.isfinite(pairs[:, 0]) & _steady(pairs[:, 1])].T
+    return _intercept(lags, cycles) if lags.size >= _FEWEST else _UNKNOWN
+
+
+def _reversals(values: Array, least: float) -> tuple[Array, Array]:
+    """Interpolated zero crossings [samples] between values above ``least``, and their directions.
+
+    A direction is 1 if the values rise, and -1 if they fall.
+    """
+    large = np.flatnonzero(np.abs(values) > least)
+    change = np.flatnonzero(np.diff(np.sign(values[large])))
+    before, after = large[change], large[change + 1]
+    steps = values[after] - values[before]
+    return before - (after - before) * values[before] / steps, np.sign(steps)
+
+
+def _steady(cycles: Array) -> np.ndarray:
+    """Mask (n,) of the cycles that follow several equal cycles.
+
+    The hysteresis depends on the peak velocity of the previous cycles, not on the present one.
+    """
+    steady = np.ones(cycles.size, dtype=bool)
+    for back in range(1, _PAST_CYCLES + 1):
+        steady[:back] = False
+        steady[back:] &= np.abs(cycles[back:] / cycles[:-back] - 1.0) < _EQUAL_CYCLES
+    return steady
+
+
+def _intercept(lags: Array, cycles: Array) -> tuple[float, float]:
+    """Lag (n,) at a cycle of length 0 [s], and its standard error; errors grow with length (n,)."""
+    if np.quantile(cycles, 0.9) < _CYCLE_RATIO * np.quantile(cycles, 0.1):
+        return _UNKNOWN
+    rates, parts = 1.0 / cycles, lags / cycles
+    kept = np.ones(parts.size, dtype=bool)
+    for _ in range(3):
+        line, covariance = np.polyfit(rates[kept], parts[kept], 1, cov=True)
+        rest = np.abs(parts - np.polyval(line, rates))
+        kept = rest <= _FAR * max(float(np.median(rest)) / NORMAL_MEDIAN, 1e-6)
+        if np.count_nonzero(kept) < _FEWEST:
+            return _UNKNOWN
+    return float(line[0]), math.sqrt(float(covariance[0, 0]) + _LAW_ERROR**2)

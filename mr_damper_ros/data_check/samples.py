@@ -1,0 +1,409 @@
+"""Check of displacement, force and current that were sampled together, and what can be mended."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mr_damper_ros.data_check.channels import (
+    SIDEBANDS,
+    Line,
+    Spectrum,
+    clipped_at,
+    coarse_step,
+    extent,
+    held_steps,
+    longest,
+    spikes,
+    stretches,
+    without_lines,
+)
+from mr_damper_ros.data_check.findings import NOTE, REFUSE, WARN, Finding, Kind
+from mr_damper_ros.data_check.lag import channel_skew, force_lead, motion_frequency, smooth_velocity
+from mr_damper_ros.kinematics.window import TURN
+from mr_damper_ros.models.quantities import SAME_CURRENT
+from mr_damper_ros.signals.arrays import NOISE_SPAN, SIGMAS, Array, white_noise
+from mr_damper_ros.signals.moving_average import find_average
+from mr_damper_ros.signals.recording import (
+    LARGEST_CURRENT,
+    LARGEST_FORCE,
+    LARGEST_MOTION,
+    TEMPERATURES,
+)
+
+UNITS = {"displacement": "m", "force": "N", "current": "A", "temperature": "°C"}
+"""Unit of each channel."""
+
+_PERIODS = (1e-6, 0.1)
+"""Plausible sample periods [s]."""
+
+_SMALLEST_MOTION = 1e-4
+"""Smallest plausible span [m] of a displacement; the seals of a damper give way by as much."""
+
+_LARGEST_SPEED = 5.0
+"""Largest plausible root mean square of the velocity [m/s]."""
+
+SMALLEST_FORCE, _UNUSUAL_FORCE = 5.0, 1e5
+"""Smallest plausible peak force [N], and the largest that is usual: the few larger MR dampers are
+those of buildings, and a small damper in the wrong unit seems as strong."""
+
+_FEWEST, _ENOUGH = 16, 200
+"""Smallest number of samples that are judged, and for what is found in spectra and statistics."""
+
+NEGATIVE_POWER = 0.1
+"""If the correlation of force and velocity is below minus this value, one of the signs is wrong."""
+
+_OFFSET = 0.25
+"""Largest mean force, relative to half the range, that goes without saying."""
+
+_EXCHANGED_RATIO = 0.9
+"""A machine moves smoothly and a damper force reverses sharply, so the force has the larger steps.
+"""
+
+_NOISY = {"displacement": (0.002, 1e-5), "force": (0.03, 10.0)}
+"""Limits of white noise, in standard deviations of the channel and in its unit. Noise is excessive
+if it exceeds both, because without current the force is small."""
+
+_HUM_OF_SPEED, _HUM_OF_FORCE = 0.01, 0.005
+"""Smallest velocity of a disturbance of the displacement, and smallest disturbance of the force,
+relative to the root mean square of the channel."""
+
+_ANSWER = 0.2
+"""The force of a damper answers a real motion with at least this part of its mean damping."""
+
+_SKEW, _SURE, _DETERMINED = 3e-4, 3.0, 5e-4
+"""Smallest skew [s] that is reported, its smallest ratio to the standard error, and the largest
+standard error [s] of a known skew."""
+
+_EARLY, _HEAVIEST = 1e-3, 50.0
+"""Smallest lead [s] of the force that is reported, and the largest mass [kg] between load cell and
+damper whose inertia may be its cause."""
+
+_MOST_GLITCHES = 0.05
+"""Largest fraction of wrong readings in a current that can be bridged."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Displacement [m], force [N] and current [A], each (n,), one ``period`` [s] apart."""
+
+    displacement: Array
+    force: Array
+    current: Array
+    period: float
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """The findings on samples, and the ``samples`` as they are used, in which faults are mended."""
+
+    samples: Samples
+    findings: tuple[Finding, ...]
+
+    @property
+    def refused(self) -> Finding | None:
+        """The first finding that refuses the samples, None without one."""
+        return next((each for each in self.findings if each.severity is REFUSE), None)
+
+
+def check_samples(given: Samples, *, mend: bool = True) -> Checked:
+    """Check finite samples of a run, and with ``mend`` mend what can be mended.
+
+    Spikes and held values are bridged by straight lines, and a disturbance of the displacement that
+    stands apart from the motion is filtered without a shift in time. The findings say so.
+    """
+    if given.force.size < _FEWEST:
+        return Checked(given, ())
+    impossible = (*unit_findings(given), *_stuck(given))
+    if any(each.severity is REFUSE for each in impossible):
+        return Checked(given, impossible)
+    if given.force.size < _ENOUGH:
+        return Checked(given, (*impossible, *_sign_findings(given)))
+    if _exchanged(given.displacement, given.force):
+        return Checked(given, (Kind.SWAPPED.found(),))
+    samples, found = _mended(given, mend=mend)
+    return Checked(samples, (*impossible, *found, *_quality(samples), *_motion_findings(samples)))
+
+
+def check_window(given: Samples, *, moves: bool) -> Checked:
+    """As :func:`check_samples`, but only what decides whether a window of a stream can be fitted.
+
+    ``moves``: whether the machine moves enough to judge more than units.
+    """
+    found: tuple[Finding, ...] = tuple(unit_findings(given, moves=moves))
+    if moves:
+        found += tuple(_stuck(given))
+    checked = Checked(given, found)
+    if checked.refused or not moves or given.force.size < _ENOUGH:
+        return checked
+    samples, more = _mended(given, mend=True)
+    return Checked(samples, (*found, *more))
+
+
+# -- what no damper gives --------------------------------------------------------------------
+
+
+def unit_findings(samples: Samples, *, moves: bool = True) -> Iterator[Finding]:
+    """Findings on values that no damper gives in SI units."""
+    if not _PERIODS[0] <= samples.period <= _PERIODS[1]:
+        yield _wrong_unit("time", "has a sample period of", samples.period, "another unit", "s")
+    span, usual = float(np.ptp(samples.displacement)), 2.0 * extent(samples.displacement)[1]
+    speed = float(np.sqrt(np.mean(np.diff(samples.displacement) ** 2))) / samples.period
+    if span > LARGEST_MOTION:
+        yield _wrong_unit("displacement", "spans", span, "millimetres")
+    elif moves and usual < _SMALLEST_MOTION:
+        if usual <= NOISE_SPAN * white_noise(samples.displacement):
+            yield Kind.AT_REST.found("displacement", value=usual, span=usual, unit="m")
+        else:
+            yield _wrong_unit("displacement", "spans only", usual, "metres")
+    elif speed > _LARGEST_SPEED:
+        yield _wrong_unit("time", "lets the rod move at", speed, "another unit", "m/s on average")
+    largest = float(np.max(np.abs(samples.force)))
+    if largest > LARGEST_FORCE:
+        yield _wrong_unit("force", "reaches", largest, "another unit")
+    elif moves and 0.0 < largest < SMALLEST_FORCE:
+        yield _wrong_unit("force", "reaches only", largest, "kilonewtons")
+    elif float(np.quantile(np.abs(samples.force), 0.99)) > _UNUSUAL_FORCE:
+        unusual = _wrong_unit("force", "reaches", largest, "another unit")
+        yield replace(unusual, severity=WARN)
+    largest = float(np.max(np.abs(samples.current)))
+    if largest > LARGEST_CURRENT:
+        yield _wrong_unit("current", "reaches", largest, "milliamperes")
+
+
+def temperature_findings(temperature: Array) -> Iterator[Finding]:
+    """A finding on temperatures (n,) [°C] that no damper has."""
+    low, high = float(np.min(temperature)), float(np.max(temperature))
+    if low < TEMPERATURES[0] or high > TEMPERATURES[1]:
+        worst = low if low < TEMPERATURES[0] else high
+        yield _wrong_unit("temperature", "reaches", worst, "kelvin")
+
+
+def _wrong_unit(channel: str, reaches: str, size: float, other: str, unit: str = "") -> Finding:
+    return Kind.UNIT.found(
+        channel, value=size, reaches=reaches, size=size, unit=unit or UNITS[channel], other=other
+    )
+
+
+def _stuck(samples: Samples) -> Iterator[Finding]:
+    """A finding on a constant force, or one that is constant while the motion reverses."""
+    displacement, force = samples.displacement, samples.force
+    if np.ptp(force) == 0.0:
+        yield Kind.STUCK.found("force", how="does not change")
+        return
+    same = longest(stretches(np.diff(force) == 0.0))
+    start, stop = same.start, same.stop + 1
+    if stop - start < TURN * force.size or clipped_at(force):
+        return
+    stretch = displacement[start:stop]
+    ends, extremes = stretch[[0, -1]], (stretch.max(), stretch.min())
+    way_back = max(float(np.min(np.abs(ends - extreme))) for extreme in extremes)
+    if way_back > TURN * float(np.ptp(displacement)):
+        yield Kind.STUCK.found("force", how="is constant although the motion reverses")
+
+
+def _exchanged(displacement: Array, force: Array) -> bool:
+    """Whether the channels are exchanged: the displacement is rough and noisy for its size."""
+    if coarse_step(displacement):
+        return False  # coarse quantisation is also rough
+    (rough, noisy), (force_rough, force_noisy) = map(_roughness, (displacement, force))
+    return rough * _EXCHANGED_RATIO > force_rough and noisy > force_noisy
+
+
+def _roughness(values: Array) -> tuple[float, float]:
+    """Steps between samples without noise, and noise, relative to the standard deviation."""
+    noise, spread = white_noise(values), float(np.std(values))
+    steps = float(np.mean(np.diff(values) ** 2)) - 2.0 * noise**2
+    return math.sqrt(max(steps, 0.0)) / spread, noise / spread
+
+
+# -- what can be mended ----------------------------------------------------------------------
+
+
+def _mended(given: Samples, *, mend: bool) -> tuple[Samples, list[Finding]]:
+    """The samples in which faults of single channels are mended, and the findings on them."""
+    cycle = 1.0 / max(motion_frequency(given.displacement, given.period) * given.period, 1e-9)
+    samples, found = given, list[Finding]()
+    for name in ("displacement", "force"):
+        values: Array = getattr(samples, name)
+        if coarse_step(values):
+            continue
+        if limits := clipped_at(values):
+            where = " and ".join(f"{limit:.4g}" for limit in limits)
+            found.append(Kind.CLIPPED.found(name, how=f" at {where} {UNITS[name]}"))
+            continue
+        fault, bridged = _bridged(name, values, cycle)
+        if fault is None:
+            continue
+        found.append(fault.mended("a fit bridges them by straight lines") if mend else fault)
+        if mend:
+            samples = replace(samples, **{name: bridged})  # type: ignore[arg-type]
+    glitches, current = _without_glitches(given.current)
+    if glitches is not None:
+        found.append(glitches.mended("a fit uses the readings before them") if mend else glitches)
+        samples = replace(samples, current=current) if mend else samples
+    # The steps of held values have lines of their own.
+    held = any(each.kind is Kind.HELD for each in found) and not mend
+    lines = [] if held else _disturbances(samples)
+    for line in lines:
+        hum = Kind.HUM.found(
+            "displacement",
+            value=line.amplitude,
+            size=line.amplitude,
+            unit="m",
+            frequency=line.frequency,
+        )
+        found.append(hum.mended("a fit filters it, without a shift in time") if mend else hum)
+    if lines and mend:
+        quiet = without_lines(samples.displacement, lines, samples.period)
+        samples = replace(samples, displacement=quiet)
+    return samples, found
+
+
+def _bridged(name: str, values: Array, cycle: float) -> tuple[Finding | None, Array]:
+    """The finding on spikes or held values of a channel (n,), and the channel without them."""
+    wild = spikes(values, cycle)
+    count = int(np.count_nonzero(wild))
+    places = np.arange(values.size)
+    if count:
+        kept = np.interp(places, places[~wild], values[~wild])
+        size = float(np.max(np.abs(values - kept)))
+        finding = Kind.SPIKES.found(
+            name, value=count, count=count, size=size, unit=UNITS[name], whole=values.size
+        )
+        return finding, kept
+    step = held_steps(values)
+    if step == 1:
+        return None, values
+    renewed = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
+    return Kind.HELD.found(name, value=step, step=step), np.interp(places, renewed, values[renewed])
+
+
+def _without_glitches(current: Array) -> tuple[Finding | None, Array]:
+    """The finding on wrong readings of an otherwise steady current (n,), and the current without.
+
+    A reading is wrong if it differs from those before and after, which are equal. A current that
+    changes by itself more often than that is commanded.
+    """
+    edges = np.flatnonzero(np.abs(np.diff(current)) > SAME_CURRENT) + 1
+    if edges.size == 0 or edges.size > _MOST_GLITCHES * current.size:
+        return None, current
+    pieces = np.split(current, edges)
+    levels = np.array([float(np.median(piece)) for piece in pieces])
+    sizes = np.array([piece.size for piece in pieces])
+    alike = np.abs(levels - float(np.median(current))) <= SAME_CURRENT
+    wrong = ~alike
+    inside = wrong[1:-1] & alike[:-2] & alike[2:]
+    if wrong[0] or wrong[-1] or not np.array_equal(inside, wrong[1:-1]):
+        return None, current
+    if sizes[wrong].sum() > _MOST_GLITCHES * current.size:
+        return None, current
+    count = int(np.count_nonzero(wrong))
+    size = float(np.max(np.abs(levels[wrong] - float(np.median(current)))))
+    kept = np.concatenate(
+        [np.full(p.size, levels[k - 1]) if wrong[k] else p for k, p in enumerate(pieces)]
+    )
+    found = Kind.SPIKES.found("current", value=count, count=count, size=size, unit="A")
+    return found, kept
+
+
+def _disturbances(samples: Samples) -> list[Line]:
+    """Disturbances of the displacement that stand apart from the motion, and move no damper."""
+    displacement, force, period = samples.displacement, samples.force, samples.period
+    motion, answer = Spectrum(displacement, period), Spectrum(force, period)
+    speed = 2.0 * math.pi * motion_frequency(displacement, period) * float(np.std(displacement))
+    damping = float(np.std(force)) / max(speed, 1e-12)
+    found, fastest = [], motion.fastest
+    for line in motion.standing_apart(fastest):
+        ripple = 2.0 * math.pi * line.frequency * line.amplitude
+        if ripple < _HUM_OF_SPEED * speed:
+            continue
+        known = answer.amplitude(line) if answer.answers(line, fastest) else 0.0
+        if known < _ANSWER * damping * ripple:
+            found.append(line)
+    return found
+
+
+# -- quality ---------------------------------------------------------------------------------
+
+
+def _quality(samples: Samples) -> Iterator[Finding]:
+    """Findings on noise, resolution, smoothing and offset, which a fit averages out or tells."""
+    for name in _NOISY:
+        values = getattr(samples, name)
+        spread, noise = float(np.std(values)), white_noise(values)
+        part, least = _NOISY[name]
+        if step := coarse_step(values):
+            yield Kind.COARSE.found(name, value=step, step=step, unit=UNITS[name])
+        elif noise > max(part * spread, least):
+            share = noise / spread
+            yield Kind.NOISE.found(name, value=noise, noise=noise, unit=UNITS[name], share=share)
+    force, moved = samples.force, Spectrum(samples.displacement, samples.period)
+    for line in Spectrum(force, samples.period).standing_apart(moved.fastest):
+        large = line.amplitude > _HUM_OF_FORCE * float(np.std(force))
+        # The harmonics of the motion, and what the displacement holds, too, are no disturbance.
+        if (
+            large
+            and line.frequency > SIDEBANDS * moved.fastest
+            and not moved.answers(line, moved.fastest)
+        ):
+            hum = Kind.HUM.found(
+                "force",
+                value=line.amplitude,
+                size=line.amplitude,
+                unit="N",
+                frequency=line.frequency,
+            )
+            yield replace(hum, severity=NOTE)
+    if (count := find_average(force)) > 1:
+        yield Kind.SMOOTHED.found("force", value=count, count=count)
+    # The centre between the extremes, because a mean over incomplete cycles would be biased.
+    middle, half = extent(force)
+    if abs(middle) > _OFFSET * half:
+        yield Kind.OFFSET.found("force", value=middle, middle=middle)
+
+
+# -- motion and force ------------------------------------------------------------------------
+
+
+def _motion_findings(samples: Samples) -> Iterator[Finding]:
+    inverted = list(_sign_findings(samples))
+    if inverted:
+        yield from inverted
+        return
+    displacement, force, period = samples.displacement, samples.force, samples.period
+    lead = force_lead(displacement, force, period)
+    if lead.seconds > max(_EARLY, SIGMAS * lead.error) and lead.mass > _HEAVIEST:
+        early, doubt = 1e3 * lead.seconds, 1e3 * lead.error
+        yield Kind.BACKWARD.found(
+            "force", value=lead.seconds, error=lead.error, early=early, doubt=doubt
+        )
+    skew, error = channel_skew(displacement, force, period)
+    if error <= _DETERMINED and abs(skew) > max(_SKEW, _SURE * error):
+        late, early_channel = ("force", "displacement")[:: 1 if skew > 0.0 else -1]
+        yield Kind.SKEW.found(
+            late,
+            value=skew,
+            error=error,
+            late=late,
+            early=early_channel,
+            skew=1e3 * abs(skew),
+            doubt=1e3 * error,
+            lateness=skew,
+        )
+
+
+def _sign_findings(samples: Samples) -> Iterator[Finding]:
+    velocity = smooth_velocity(samples.displacement, samples.period)
+    if drives(velocity, samples.force):
+        yield Kind.INVERTED.found("force")
+
+
+def drives(velocity: Array, force: Array) -> bool:
+    """Whether a force (n,) drives the motion; a damper is dissipative over some cycles."""
+    centred = force - force.mean()
+    power = float(centred @ velocity)
+    return power < -NEGATIVE_POWER * float(np.linalg.norm(centred) * np.linalg.norm(velocity))

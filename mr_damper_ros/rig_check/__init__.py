@@ -1,1 +1,0 @@
-"""Check of the signals of a rig."""

@@ -1,0 +1,381 @@
+"""Faults of recorded data are named, or mended and said, for dampers of several laws."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import known
+import numpy as np
+import pytest
+from random_motion import BandLimitedRandom
+
+import mr_damper_ros as mr
+from mr_damper_ros.data_check.channels import clipped_at, held_steps, spikes
+from mr_damper_ros.data_check.findings import NOTE, REFUSE, WARN, Kind
+from mr_damper_ros.data_check.recordings import check_run, require_units
+from mr_damper_ros.data_check.samples import Samples, check_samples, check_window, drives
+from mr_damper_ros.kinematics.periodic_motion import Kinematics
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
+from mr_damper_ros.signals.recording import DEFAULT_START_NS, Recording, RecordingError
+
+PERIOD = 1e-3
+TIME = np.arange(6000) * PERIOD
+LAWS = ("sigmoid", "bouc_wen", "series_springs")
+NOISE, JITTER = 4.0, 1e-6
+"""Noise of the load cell [N] and of the displacement [m]."""
+
+
+def motion(name: str, seed: int) -> Kinematics:
+    if name == "random":
+        return BandLimitedRandom(4e-3, 0.3, 4.0, seed).at(TIME)
+    rate = 2.0 * np.pi * {"slow": 1.0, "fast": 4.0}[name]
+    size, angle = 8e-3, rate * TIME + seed
+    sine, cosine = size * np.sin(angle), size * np.cos(angle)
+    return Kinematics(sine, rate * cosine, -(rate**2) * sine)
+
+
+@cache
+def sound(law: str = "sigmoid", name: str = "slow", seed: int = 0) -> Samples:
+    """Samples of a damper at 1 A with noise on both channels."""
+    rng, moved = np.random.default_rng(seed), motion(name, seed)
+    current = np.full(TIME.size, 1.0)
+    window = Window.from_samples(moved.displacement, np.zeros(TIME.size), current, PERIOD)
+    force = known.controllable(law).window_force(window)
+    return Samples(
+        moved.displacement + rng.normal(0.0, JITTER, TIME.size),
+        force + rng.normal(0.0, NOISE, TIME.size),
+        current,
+        PERIOD,
+    )
+
+
+SOUND = [
+    (law, name, seed) for law in LAWS for name in ("slow", "fast", "random") for seed in (0, 1)
+]
+
+
+def kinds(samples: Samples, **options: bool) -> dict[Kind, int]:
+    """Severity of each finding that is more than a note, by kind."""
+    found = check_samples(samples, **options).findings
+    return {each.kind: each.severity for each in found if each.severity > NOTE}
+
+
+@pytest.mark.parametrize(("law", "name", "seed"), SOUND)
+def test_sound_data_are_left_alone(law: str, name: str, seed: int) -> None:
+    given = sound(law, name, seed)
+    checked = check_samples(given)
+    assert kinds(given) == {}
+    assert checked.samples is given
+
+
+# -- refused -------------------------------------------------------------------------------------
+
+Change = Callable[[Samples], Samples]
+
+
+def scaled(channel: str, factor: float) -> Change:
+    return lambda given: replace(given, **{channel: factor * getattr(given, channel)})
+
+
+def clipped(low: float, high: float) -> Change:
+    """The force limited at these quantiles."""
+
+    def change(given: Samples) -> Samples:
+        return replace(given, force=np.clip(given.force, *np.quantile(given.force, (low, high))))
+
+    return change
+
+
+REFUSED: dict[str, tuple[Change, Kind]] = {
+    "displacement in mm": (scaled("displacement", 1e3), Kind.UNIT),
+    "displacement in m read as mm": (scaled("displacement", 1e-3), Kind.UNIT),
+    "force in kN": (scaled("force", 1e-3), Kind.UNIT),
+    "force much too large": (scaled("force", 1e4), Kind.UNIT),
+    "current in mA": (scaled("current", 1e3), Kind.UNIT),
+    "force reversed": (scaled("force", -1.0), Kind.INVERTED),
+    "displacement reversed": (scaled("displacement", -1.0), Kind.INVERTED),
+    "clipped, 10 %": (clipped(0.0, 0.9), Kind.CLIPPED),
+    "clipped, 33 %": (clipped(0.0, 0.67), Kind.CLIPPED),
+    "clipped, 42 %": (clipped(0.0, 0.58), Kind.CLIPPED),
+    "clipped on both sides": (clipped(0.2, 0.8), Kind.CLIPPED),
+    "no force": (scaled("force", 0.0), Kind.STUCK),
+    "no motion": (scaled("displacement", 0.0), Kind.AT_REST),
+    "exchanged": (
+        lambda given: replace(
+            given, displacement=1e-5 * given.force, force=1e5 * given.displacement
+        ),
+        Kind.SWAPPED,
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", REFUSED)
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("name", ["slow", "random"])
+def test_a_fault_that_cannot_be_mended_is_refused_by_its_name(
+    fault: str, law: str, name: str
+) -> None:
+    change, kind = REFUSED[fault]
+    assert kinds(change(sound(law, name))) == {kind: REFUSE}
+
+
+def test_a_force_above_those_of_usual_dampers_is_warned_of() -> None:
+    assert kinds(scaled("force", 300.0)(sound())) == {Kind.UNIT: WARN}
+
+
+@pytest.mark.parametrize("step", [1.0, 3.0, 5.0])
+def test_a_quantised_force_is_not_taken_for_clipped(step: float) -> None:
+    # 16 bits over a load cell of 100 kN are 3 N.
+    assert clipped_at(np.round(sound().force / step) * step) == []
+
+
+@pytest.mark.parametrize("part", [0.05, 0.1, 0.2])
+def test_a_crank_that_rests_at_dead_centre_is_not_taken_for_clipped(part: float) -> None:
+    # It slows down, stops completely, and starts slowly.
+    cycle = np.clip((TIME % 0.5) / 0.5 / (1.0 - part), 0.0, 1.0)
+    displacement = 5e-3 * np.cos(2.0 * np.pi * cycle)
+    assert clipped_at(displacement) == []
+    assert clipped_at(np.minimum(displacement, 4.8e-3)) == [4.8e-3]
+
+
+@pytest.mark.parametrize("offset", [0.0, 10_000.0])
+def test_a_reversed_sign_is_found_whatever_the_zero_of_the_load_cell(offset: float) -> None:
+    run = known.run(current=1.0, samples=1000)
+    assert not drives(run.velocity, offset + run.force)
+    assert drives(run.velocity, offset - run.force)
+
+
+# -- mended --------------------------------------------------------------------------------------
+
+RESTORED = 0.02
+"""Largest error of a mended channel, relative to the standard deviation of the channel."""
+
+
+def hum(size: float, frequency: float) -> Change:
+    def change(given: Samples) -> Samples:
+        # The frequency of the mains and of a loose potentiometer wanders.
+        phase = 2.0 * np.pi * np.cumsum(frequency + 0.5 * np.sin(3.0 * TIME)) * PERIOD
+        return replace(given, displacement=given.displacement + size * np.sin(phase))
+
+    return change
+
+
+def with_spikes(channel: str, size: float, width: int) -> Change:
+    def change(given: Samples) -> Samples:
+        rng = np.random.default_rng(7)
+        values = getattr(given, channel).copy()
+        for place in rng.integers(10, values.size - 10, 25).tolist():
+            values[place : place + width] += size * rng.choice([-1.0, 1.0])
+        return replace(given, **{channel: values})
+
+    return change
+
+
+def held(channel: str, step: int) -> Change:
+    def change(given: Samples) -> Samples:
+        values = getattr(given, channel)
+        return replace(given, **{channel: values[np.arange(values.size) // step * step]})
+
+    return change
+
+
+def with_glitches(given: Samples) -> Samples:
+    current = given.current.copy()
+    for place in (500, 2100, 4000):
+        current[place : place + 20] = 0.0
+    return replace(given, current=current)
+
+
+MENDED: dict[str, tuple[Change, Kind, str]] = {
+    "hum, 30 µm": (hum(3e-5, 51.0), Kind.HUM, "displacement"),
+    "hum, 100 µm": (hum(1e-4, 100.0), Kind.HUM, "displacement"),
+    "knocks on the load cell": (with_spikes("force", 900.0, 1), Kind.SPIKES, "force"),
+    "longer knocks": (with_spikes("force", 900.0, 4), Kind.SPIKES, "force"),
+    "a loose plug": (with_spikes("displacement", 8e-3, 2), Kind.SPIKES, "displacement"),
+    "a slow sensor": (held("displacement", 20), Kind.HELD, "displacement"),
+    "a slow load cell": (held("force", 5), Kind.HELD, "force"),
+    "a meter that drops out": (with_glitches, Kind.SPIKES, "current"),
+}
+
+
+@pytest.mark.parametrize("fault", MENDED)
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("name", ["slow", "random"])
+def test_what_can_be_mended_is_mended_and_said(fault: str, law: str, name: str) -> None:
+    change, kind, channel = MENDED[fault]
+    clean = sound(law, name)
+    checked = check_samples(change(clean))
+    assert [(f.kind, f.channel) for f in checked.findings if f.kind is kind] == [(kind, channel)]
+    assert kinds(change(clean)) == {}
+    for each in ("displacement", "force", "current"):
+        left = getattr(checked.samples, each) - getattr(clean, each)
+        size = max(float(np.std(getattr(clean, each))), 1.0 if each == "current" else 0.0)
+        assert known.rms(left) < RESTORED * size + (2.0 * NOISE if each == "force" else 0.0)
+
+
+@pytest.mark.parametrize("fault", MENDED)
+def test_as_measured_a_fault_is_warned_of_and_nothing_is_changed(fault: str) -> None:
+    change, kind, _ = MENDED[fault]
+    faulty = change(sound())
+    assert check_samples(faulty, mend=False).samples is faulty
+    assert kinds(faulty, mend=False) == {kind: WARN}
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_motion_that_the_force_answers_is_no_hum(law: str) -> None:
+    # A dither of 0.3 mm at 20 Hz on a slow sine of 8 mm.
+    angle = 2.0 * np.pi * 20.0 * TIME
+    displacement = sound().displacement + 3e-4 * np.sin(angle)
+    window = Window.from_samples(displacement, np.zeros(TIME.size), 1.0, PERIOD)
+    force = known.controllable(law).window_force(window)
+    given = Samples(displacement, force, np.full(TIME.size, 1.0), PERIOD)
+    assert Kind.HUM not in [each.kind for each in check_samples(given).findings]
+
+
+def test_the_turns_of_a_force_are_no_spikes() -> None:
+    force = sound(name="fast").force
+    assert not spikes(force, 250.0).any()
+
+
+def test_a_coarse_displacement_is_not_taken_for_a_slow_one() -> None:
+    assert held_steps(np.round(sound().displacement / 2e-4) * 2e-4) == 1
+
+
+# -- time ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("early", [90, 120])
+def test_a_hysteresis_that_runs_backward_is_warned_of(law: str, early: int) -> None:
+    given = sound(law)
+    shifted = replace(given, force=np.roll(given.force, -early))
+    assert kinds(shifted) == {Kind.BACKWARD: WARN}
+
+
+def test_an_early_force_of_inertia_is_not_taken_for_one_of_the_clock() -> None:
+    given = sound(name="fast")
+    acceleration = motion("fast", 0).acceleration
+    assert kinds(replace(given, force=0.05 * given.force + 5.0 * acceleration)) == {}
+
+
+# -- windows of a stream -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fault", ["force in kN", "clipped, 33 %", "no force"])
+def test_a_window_is_refused_for_what_cannot_be_mended(fault: str) -> None:
+    change, kind = REFUSED[fault]
+    refused = check_window(change(sound()), moves=True).refused
+    assert refused is not None
+    assert refused.kind is kind
+
+
+def test_a_knock_in_a_window_is_bridged() -> None:
+    knocked = with_spikes("force", 900.0, 3)(sound())
+    checked = check_window(knocked, moves=True)
+    assert checked.refused is None
+    assert known.rms(checked.samples.force - sound().force) < 2.0 * NOISE
+
+
+# -- runs ----------------------------------------------------------------------------------------
+
+
+def recording(given: Samples, part: slice = slice(None), **changes: object) -> Recording:
+    rows = given.displacement[part], given.force[part], given.current[part]
+    return replace(Recording("run", DEFAULT_START_NS, given.period, *rows), **changes)
+
+
+def test_fragments_shorter_than_a_cycle_are_left_out_and_said() -> None:
+    whole, fragment = recording(sound()), recording(sound(), slice(100))
+    checked = check_run([fragment, whole])
+    assert len(checked.sections) == 1
+    assert [(each.kind, each.severity) for each in checked.findings] == [(Kind.FRAGMENT, NOTE)]
+
+
+def test_as_measured_keeps_fragments() -> None:
+    whole, fragment = recording(sound()), recording(sound(), slice(300))
+    assert len(check_run([fragment, whole], mend=False).sections) == 2
+
+
+def test_sections_that_all_hold_less_than_a_cycle_are_used_with_a_warning() -> None:
+    pieces = [recording(sound(), slice(first, first + 400)) for first in (0, 1000)]
+    checked = check_run(pieces)
+    assert len(checked.sections) == 2
+    assert Kind.SHORT in [each.kind for each in checked.findings]
+
+
+@pytest.mark.parametrize(
+    ("changes", "channel"),
+    [
+        ({"period": 1.0}, "time"),
+        ({"period": 1e-7}, "time"),
+        ({"temperature": np.full(TIME.size, 301.0)}, "temperature"),
+    ],
+)
+def test_times_and_temperatures_in_a_wrong_unit_are_refused(
+    changes: dict[str, object], channel: str
+) -> None:
+    with pytest.raises(RecordingError, match=f"the {channel} "):
+        require_units(recording(sound(), **changes))
+
+
+# -- the current ---------------------------------------------------------------------------------
+
+
+def changing(late: int, seed: int = 0) -> mr.Recording:
+    """Random motion with a current that steps between five values, recorded ``late`` samples."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(20_000) * PERIOD
+    moved = BandLimitedRandom(4e-3, 0.3, 4.0, seed).at(time)
+    current = np.repeat(rng.choice([0.0, 0.4, 0.8, 1.2, 1.6], 100), 200)
+    window = Window.from_samples(moved.displacement, np.zeros(time.size), current, PERIOD)
+    force = mr.ParameterSet(THESIS_28_CELSIUS).window_force(window) + rng.normal(
+        0.0, NOISE, time.size
+    )
+    return mr.Recording(
+        "run", DEFAULT_START_NS, PERIOD, moved.displacement, force, np.roll(current, late)
+    )
+
+
+@pytest.mark.parametrize("late", [-80, -50, 50, 80])
+def test_a_current_that_is_recorded_late_or_early_is_measured(late: int) -> None:
+    found = mr.identify(changing(late))
+    skews = [each for each in found.findings if each.kind is Kind.CURRENT_SKEW]
+    assert [each.severity for each in skews] == [WARN]
+    # [s]: half a step of the search, and the error of a set that was fitted to wrong currents.
+    assert abs(skews[0].value + late * PERIOD) < 0.01
+    assert not found.success
+
+
+def test_a_current_on_time_is_not_warned_of() -> None:
+    assert mr.identify(changing(0)).success
+
+
+# -- the interface -------------------------------------------------------------------------------
+
+
+def test_the_check_of_a_recording_says_the_gravest_first() -> None:
+    faulty = with_spikes("force", 900.0, 1)(scaled("displacement", -1.0)(sound()))
+    found = mr.check(recording(faulty))
+    assert found.severity is REFUSE
+    assert [each.severity for each in found.findings] == sorted(
+        (each.severity for each in found.findings), reverse=True
+    )
+
+
+@pytest.mark.parametrize("accept", [False, True])
+def test_a_warning_is_no_success_unless_it_is_accepted(accept: bool) -> None:
+    given = sound()
+    shifted = recording(replace(given, force=np.roll(given.force, -90)))
+    found = mr.identify(shifted, method="least_squares", accept_doubtful=accept)
+    assert Kind.BACKWARD in [each.kind for each in found.findings]
+    assert found.success is accept
+    assert found.document()["findings"][0]["severity"] == "warn"
+
+
+def test_another_law_that_explains_a_poor_fit_is_named() -> None:
+    given = sound("bouc_wen", "random")
+    found = mr.identify(recording(given), model="bingham")
+    named = [each for each in found.findings if each.kind is Kind.OTHER_LAW]
+    assert len(named) == 1
+    assert "bouc_wen" in named[0].sentence or "series_springs" in named[0].sentence
