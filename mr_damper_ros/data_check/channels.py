@@ -104,6 +104,9 @@ _OUTLIER, _JUMP = 12.0, 0.1
 """A spike leaves its surroundings by this multiple of the noise or this part of the range,
 whichever is larger, and comes back."""
 
+_UNUSUAL, _USUAL_PART = 8.0, 0.95
+"""A spike also exceeds this quantile of the excursions of the signal itself, by this factor."""
+
 _WIDEST = 5
 """Largest width of a spike in samples."""
 
@@ -120,14 +123,14 @@ def spikes(values: Array, samples_per_cycle: float) -> Mask:
     marked = np.zeros(values.size, dtype=bool)
     limit = max(_OUTLIER * white_noise(values), 2.0 * _JUMP * extent(values)[1])
     widest = min(_WIDEST, max(int(_CYCLE_PART * samples_per_cycle), 1))
-    for width in range(1, widest + 1):
-        if values.size <= width + 1:
-            break
+    for width in range(1, min(widest, values.size - 2) + 1):
         before, after = values[: -width - 1], values[width + 1 :]
-        low, high = np.minimum(before, after) - limit, np.maximum(before, after) + limit
+        low, high = np.minimum(before, after), np.maximum(before, after)
         for place in range(width):
-            inside = values[place + 1 : values.size - width + place]
-            marked[place + 1 : values.size - width + place] |= (inside < low) | (inside > high)
+            inside = slice(place + 1, values.size - width + place)
+            beyond = np.maximum(values[inside] - high, low - values[inside])
+            usual = _UNUSUAL * float(np.quantile(beyond, _USUAL_PART))
+            marked[inside] |= beyond > max(limit, usual)
     return marked
 
 

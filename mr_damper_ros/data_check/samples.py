@@ -125,6 +125,8 @@ def check_samples(given: Samples, *, mend: bool = True) -> Checked:
     if _exchanged(given.displacement, given.force):
         return Checked(given, (Kind.SWAPPED.found(),))
     samples, found = _mended(given, mend=mend)
+    if (count := find_average(given.force)) > 1:
+        found.append(Kind.SMOOTHED.found("force", value=count, count=count))
     return Checked(samples, (*impossible, *found, *_quality(samples), *_motion_findings(samples)))
 
 
@@ -331,7 +333,7 @@ def _disturbances(samples: Samples) -> list[Line]:
 
 
 def _quality(samples: Samples) -> Iterator[Finding]:
-    """Findings on noise, resolution, smoothing and offset, which a fit averages out or tells."""
+    """Findings on noise, resolution, hum of the force and offset, which a fit averages out."""
     for name in _NOISY:
         values = getattr(samples, name)
         spread, noise = float(np.std(values)), white_noise(values)
@@ -358,8 +360,6 @@ def _quality(samples: Samples) -> Iterator[Finding]:
                 frequency=line.frequency,
             )
             yield replace(hum, severity=NOTE)
-    if (count := find_average(force)) > 1:
-        yield Kind.SMOOTHED.found("force", value=count, count=count)
     # The centre between the extremes, because a mean over incomplete cycles would be biased.
     middle, half = extent(force)
     if abs(middle) > _OFFSET * half:
