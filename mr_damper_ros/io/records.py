@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from mr_damper_ros.io.binary_tables import FORMATS, read_binary_table
 from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, Columns, RecordError, parse_columns
-from mr_damper_ros.io.tables import FORMATS, read_binary_table, read_text_table
+from mr_damper_ros.io.text_tables import read_text_table
 from mr_damper_ros.kinematics.window import turning_points
 from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.processes.files import irregularity
