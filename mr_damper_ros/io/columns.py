@@ -208,12 +208,15 @@ class RawTable(NamedTuple):
     """Raw values (n,) by quantity.
 
     ``place`` describes the location of a row in words, for messages. ``period`` is the sample
-    period [s] according to the file, None if it is unknown.
+    period [s] according to the file, None if it is unknown. ``notes`` are sentences on what was
+    left out or changed. ``breaks`` are the rows at which the file begins a new block of samples.
     """
 
     values: dict[str, Array]
     place: Callable[[int], str]
     period: float | None = None
+    notes: tuple[str, ...] = ()
+    breaks: tuple[int, ...] = ()
 
 
 def too_long(name: str, maximum_samples: int) -> RecordError:

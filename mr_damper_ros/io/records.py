@@ -148,7 +148,8 @@ class SampledRecord:
         if velocity is not None:
             self.check_finite("velocity", velocity)
         period, note = self._even_pace() if self.period is None else (self.period, "")
-        notes = [note] if note else []
+        notes = [self.details["note"]] if "note" in self.details else []
+        notes += [note] if note else []
         displacement = self.values.get("displacement")
         if displacement is None:
             assert velocity is not None
@@ -349,6 +350,8 @@ def _read_samples(
     if count < 2:
         raise RecordError(f"{path.name} holds one row of numbers: at least two are needed")
     details = {"provenance": f"imported from {path.name}", "columns": wanted.text}
+    if table.notes:
+        details["note"] = "; ".join(table.notes)
     time = values.pop("time") if period is None else np.arange(count, dtype=np.float64) * period
     record = SampledRecord(path, time, values, period, table.place, details)
     record.check_finite("time", time)
