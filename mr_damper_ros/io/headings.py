@@ -65,7 +65,7 @@ _LABELS = {"a", "c", "f", "k", "m", "n", "s", "in", "min", "ma", "um"}
 """Words that may also be a label, such as the letter of a channel, or "minimum"."""
 
 _QUANTITY_WORDS = {
-    "time": r"time|zeit|prüfzeit|pruefzeit|temps|tempo|tiempo|t|x value",
+    "time": r"time|timestamp|zeit|prüfzeit|pruefzeit|temps|tempo|tiempo|t|x value",
     "displacement": r"disp\w*|stroke|position|pos|extension|ext|crosshead|traverse\w*|weg|\w+weg"
     r"|course|dépl\w*|depl\w*|deslocamento|desplazamiento|spostamento|corsa|carrera|hub"
     r"|kolbenweg|travel|lvdt|elongation",

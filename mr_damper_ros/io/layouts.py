@@ -16,19 +16,21 @@ class Layout:
 
     ``mark`` is a regular expression that the lines above the samples contain. ``preferred`` are
     regular expressions of headings by quantity, best first, for files with several columns of a
-    quantity. ``unit_row`` and ``period_row`` are the first cells of the rows that hold the units
-    and the sample periods [s] of the columns.
+    quantity. ``units`` are the units of columns by heading, where the program never writes them.
+    ``unit_row`` and ``period_row`` are the first cells of the rows that hold the units and the
+    sample periods [s] of the columns.
     """
 
     name: str
     mark: str
     preferred: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
     unit_row: str | None = None
     period_row: str | None = None
 
 
 LAYOUTS = (
-    Layout("LabVIEW", r"^LabVIEW Measurement", {}, "Y_Unit_Label", "Delta_X"),
+    Layout("LabVIEW", r"^LabVIEW Measurement", {}, {"X_Value": "s"}, "Y_Unit_Label", "Delta_X"),
     Layout(
         "Instron WaveMatrix",
         r"Total Time \(s\)|Elapsed Cycles|\(Linear:|\(\d+ \(\d,\d\):",
@@ -50,11 +52,11 @@ LAYOUTS = (
     ),
     Layout(
         "MTS 793",
-        r"Data Acquisition|MTS793|MPT|Station Name|Axial (Segment|Displacement|Force)",
+        r"^MTS.*\|MPT\||^MTS793|Data Acquisition: |Station Name|Axial (Displacement|Force)",
         {
             "time": (r"time", r"running time"),
-            "displacement": (r"axial disp\w*", r"axial displacement"),
-            "force": (r"axial force", r"axial load"),
+            "displacement": (r"axial (disp|desp)\w*",),
+            "force": (r"axial (force|fuerza|load)",),
         },
     ),
     Layout(

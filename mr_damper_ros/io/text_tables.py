@@ -25,6 +25,7 @@ from mr_damper_ros.io.headings import (
     Unit,
     check_unit,
     is_row_of_units,
+    quantity_of,
     unit_of_heading,
     unit_of_word,
 )
@@ -115,13 +116,24 @@ Progress = Callable[[float], None]
 """Receives the fraction of a file that has been read."""
 
 
+@dataclass(frozen=True)
+class TextOptions:
+    """Options for text files: the decimal mark, if the numbers do not show it, and a listener."""
+
+    decimal_mark: str | None = None
+    progress: Progress | None = None
+
+
+NO_OPTIONS = TextOptions()
+"""No decimal mark, no listener."""
+
+
 def read_text_table(
     path: Path,
     columns: Columns,
     variable: str | None,
     maximum_samples: int,
-    decimal_mark: str | None = None,
-    progress: Progress | None = None,
+    options: TextOptions = NO_OPTIONS,
 ) -> RawTable:
     """Read columns by position or header; lines before the first row of numbers are skipped.
 
@@ -129,9 +141,7 @@ def read_text_table(
     """
     if variable is not None:
         raise RecordError(f"{path.name} is a text file and has no variables: choose no variable")
-    return of_text_file(
-        path, lambda text: text.table(columns, maximum_samples, decimal_mark, progress)
-    )
+    return of_text_file(path, lambda text: text.table(columns, maximum_samples, options))
 
 
 _Result = TypeVar("_Result")
@@ -192,7 +202,12 @@ class Outline:
     def unit(self, column: int) -> Unit | None:
         """The unit of a column, from the row of units or from its heading."""
         stated = unit_of_word(self.units[column]) if column < len(self.units) else None
-        return stated or unit_of_heading(self.heading(column))
+        word = self.layout.units.get(self.heading(column), "")
+        return stated or unit_of_heading(self.heading(column)) or unit_of_word(word)
+
+    def quantity(self, column: int) -> str | None:
+        """The quantity that the heading of a column names."""
+        return quantity_of(self.heading(column))
 
 
 class _UnreadableError(RecordError):
@@ -261,14 +276,9 @@ class TextFile:
         self,
         columns: Columns,
         maximum_samples: int,
-        decimal_mark: str | None = None,
-        progress: Progress | None = None,
+        options: TextOptions = NO_OPTIONS,
     ) -> RawTable:
-        """The numbers in the columns.
-
-        ``decimal_mark`` is the decimal mark, if the numbers do not determine it. Raises
-        RecordError.
-        """
+        """The numbers in the columns; raises RecordError."""
         after, positions = 0, [column.position for column in columns.wanted]
         if columns.by_header:
             after, positions = self._find_header([c.header for c in columns.wanted])
@@ -280,7 +290,7 @@ class TextFile:
         for position, column in zip(positions, columns.wanted, strict=True):
             heading = outline.heading(position)
             check_unit(self._name, column, position, heading, outline.unit(position))
-        samples = self._read(outline, positions, dates, maximum_samples, decimal_mark, progress)
+        samples = self._read(outline, positions, dates, maximum_samples, options)
         table = samples.values()
         period = outline.period if "time" not in columns.quantities else None
         return RawTable(
@@ -344,6 +354,8 @@ class TextFile:
         layout = layout_of(line for _, line in self._head[:start])
         headings, units = _headings(head[max(after - 1, 0) :] if after else head, positions, after)
         repeated = tuple(tuple(row) for row in (headings, units) if row)
+        if not self._separator and len(headings) != _width(sample):
+            headings = []  # of several words each
         stated = _row_of(head, layout.unit_row)
         self._check_width(headings, sample, numeric)
         return Outline(
@@ -421,8 +433,7 @@ class TextFile:
         positions: list[int],
         dates: set[int],
         maximum_samples: int,
-        decimal_mark: str | None,
-        progress: Progress | None,
+        options: TextOptions,
     ) -> _Samples:
         """The samples, under the marks that the numbers of the file show."""
         evidence = Evidence()
@@ -431,17 +442,19 @@ class TextFile:
             evidence.add(fields, plain)
         if not evidence.decided and not self._whole:
             evidence = self._all_evidence(outline, plain)
-        marks = self._marks(evidence, decimal_mark)
+        marks = self._marks(evidence, options.decimal_mark)
         try:
-            return self._samples(outline, positions, dates, marks, maximum_samples, progress)
+            return self._samples(
+                outline, positions, dates, marks, maximum_samples, options.progress
+            )
         except _UnreadableError as error:
             if not error.marks:
                 raise
             evidence = self._all_evidence(outline, plain)
-            other = self._marks(evidence, decimal_mark)
+            other = self._marks(evidence, options.decimal_mark)
             if other == marks:
                 raise
-        return self._samples(outline, positions, dates, other, maximum_samples, progress)
+        return self._samples(outline, positions, dates, other, maximum_samples, options.progress)
 
     def _marks(self, evidence: Evidence, decimal_mark: str | None) -> Marks:
         if decimal_mark not in (None, ".", ","):
