@@ -93,11 +93,15 @@ _AFTER_SLASH = re.compile(r"([^/]+)/\s*([^\s/]+(?:/\w+)?)\s*$")
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit that a file states: its word, its quantity, and its form in a description."""
+    """A unit that a file states: its word, its quantity, and its form in a description.
+
+    ``sure``: whether it stands in a row of units, so that a single letter is no label.
+    """
 
     word: str
     quantity: str
     text: str
+    sure: bool = False
 
 
 def unit_of_word(word: str) -> Unit | None:
@@ -126,11 +130,20 @@ def unit_of_heading(heading: str) -> Unit | None:
 
 def quantity_of(heading: str) -> str | None:
     """The quantity that the words of a heading name; None if they name none or several."""
-    words = _IN_BRACKETS.sub("", heading).lower().replace("_", " ")
-    if _NOT_A_SIGNAL.search(words):
+    if not is_signal(heading):
         return None
+    words = _words(heading)
     found = [quantity for quantity, form in _QUANTITIES.items() if form.search(words)]
     return found[0] if len(found) == 1 else None
+
+
+def is_signal(heading: str) -> bool:
+    """Whether a heading lacks the words of peaks, counts, commands and computed quantities."""
+    return not _NOT_A_SIGNAL.search(_words(heading))
+
+
+def _words(heading: str) -> str:
+    return _IN_BRACKETS.sub("", heading).lower().replace("_", " ")
 
 
 def is_row_of_units(fields: Sequence[str]) -> bool:
@@ -151,7 +164,7 @@ def check_unit(name: str, column: Column, position: int, heading: str, unit: Uni
     where = f"column {position + 1} of {name}" + (f" is headed '{heading}'" if heading else "")
     states = f"{where} and has the unit {unit.word}, but the columns say {said}"
     if unit.quantity != column.quantity:
-        if unit.word.lower() in _LABELS:
+        if unit.word.lower() in _LABELS and not unit.sure:
             return
         raise RecordError(
             f"{states}: describe another column, or, if the heading is wrong, write "

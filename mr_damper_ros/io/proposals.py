@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mr_damper_ros.io.binary_tables import FORMATS
 from mr_damper_ros.io.columns import DATE_AND_TIME, REST, SKIPPED, RecordError
-from mr_damper_ros.io.headings import Unit
+from mr_damper_ros.io.headings import Unit, is_signal
 from mr_damper_ros.io.text_tables import Outline, of_text_file
 
 _NEEDED = ("time", "displacement", "force")
@@ -113,7 +113,8 @@ def _candidates(outline: Outline, quantity: str) -> list[int]:
     named = [p for p in places if outline.quantity(p) == quantity and units[p] is None]
     named = [p for p in fitting if outline.quantity(p) == quantity] or named
     if not named:
-        return fitting if len(fitting) == 1 and outline.quantity(fitting[0]) is None else []
+        alone = len(fitting) == 1 and outline.quantity(fitting[0]) is None
+        return fitting if alone and is_signal(outline.heading(fitting[0])) else []
     preferred = outline.layout.preferred.get(quantity, ())
 
     def rank(place: int) -> tuple[int, int]:

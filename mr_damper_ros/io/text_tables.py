@@ -12,7 +12,7 @@ import re
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from functools import lru_cache
 from pathlib import Path
@@ -202,8 +202,10 @@ class Outline:
     def unit(self, column: int) -> Unit | None:
         """The unit of a column, from the row of units or from its heading."""
         stated = unit_of_word(self.units[column]) if column < len(self.units) else None
+        if stated is not None:
+            return replace(stated, sure=True)
         word = self.layout.units.get(self.heading(column), "")
-        return stated or unit_of_heading(self.heading(column)) or unit_of_word(word)
+        return unit_of_heading(self.heading(column)) or unit_of_word(word)
 
     def quantity(self, column: int) -> str | None:
         """The quantity that the heading of a column names."""

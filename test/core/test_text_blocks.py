@@ -1,0 +1,265 @@
+"""Where the samples of a text file begin and end: headers, blocks, summaries, incomplete rows."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mr_damper_ros.io.columns import ColumnError, RecordError, parse_columns
+from mr_damper_ros.io.records import read_record, read_runs
+
+COLUMNS = "time:s,displacement:mm,force:N"
+UNTIMED = "displacement:mm,force:N"
+
+TIME = np.arange(200) * 0.01
+STROKE = 5.0 * np.sin(9.0 * TIME + 0.3)
+FORCE = 700.0 * np.cos(9.0 * TIME + 0.3)
+
+
+def rows(first: int = 0, last: int = 200, start: float = 0.0) -> list[str]:
+    part = slice(first, last)
+    values = zip(TIME[part] + start, STROKE[part], FORCE[part], strict=True)
+    return [",".join(f"{value:.4f}" for value in row) for row in values]
+
+
+def untimed(first: int = 0, last: int = 200) -> list[str]:
+    return [row.split(",", 1)[1] for row in rows(first, last)]
+
+
+def saved(tmp_path: Path, lines: list[str], end: str = "\n") -> Path:
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(lines) + end, encoding="utf-8")
+    return path
+
+
+def note_of(path: Path, columns: str = COLUMNS, samples: int = 200, **options: Any) -> str:
+    """The note of a record whose samples are all right."""
+    run = read_record(path, columns, **{"current": 0.5, **options})
+    assert run.sample_count == samples
+    np.testing.assert_allclose(run.force, FORCE[:samples], rtol=0.0, atol=1e-4)
+    np.testing.assert_allclose(run.displacement, 1e-3 * STROKE[:samples], rtol=0.0, atol=1e-7)
+    return run.details.get("note", "")
+
+
+def refused(path: Path, columns: str = COLUMNS, **options: Any) -> str:
+    with pytest.raises(RecordError) as caught:
+        read_record(path, columns, **{"current": 0.5, **options})
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+# -- the start of the table ------------------------------------------------------------------------
+
+
+def test_rows_of_a_header_with_numbers_are_no_samples(tmp_path: Path) -> None:
+    head = ["Stroke,Load", "Channels,2", "Samples,200,200", "Date,2024/05/02", "Delta_X,0.01,0.01"]
+    lines = [*head, "X_Value,Stroke,Load", *(f",{row}" for row in untimed())]
+    assert note_of(saved(tmp_path, lines), f"-,{UNTIMED}", period=0.01) == ""
+
+
+@pytest.mark.parametrize("row", ["1,2", "0.5,10", "7,8"])
+def test_a_row_of_channel_numbers_or_factors_is_left_out(tmp_path: Path, row: str) -> None:
+    path = saved(tmp_path, ["Stroke,Load", row, *untimed()])
+    note = note_of(path, UNTIMED, period=0.01)
+    assert f"line 2 of run.csv ('{row.replace(',', '; ')}') has another form" in note
+
+
+def test_numbers_of_varying_length_are_samples_from_the_first_row_on(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    table = np.column_stack((TIME, np.round(STROKE, 3), np.round(FORCE, 1)))
+    table[0] = 0.0, 1.0, 2.0
+    np.savetxt(path, table, fmt="%g", delimiter=",")
+    assert read_record(path, COLUMNS, current=0.5).sample_count == 200
+
+
+def test_whole_numbers_are_samples_from_the_first_row_on(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    table = np.column_stack((np.arange(1, 201), np.round(1e3 * STROKE), np.round(FORCE)))
+    np.savetxt(path, table, fmt="%d", delimiter=",")
+    run = read_record(path, "time:ms,displacement:um,force:N", current=0.5)
+    assert run.sample_count == 200
+
+
+# -- between and below the samples -----------------------------------------------------------------
+
+HEAD = ["Time,Stroke,Load", "s,mm,N"]
+
+
+def test_blocks_with_repeated_headings_are_runs(tmp_path: Path) -> None:
+    lines = [line for k in range(3) for line in ("", f"Block {k}", *HEAD, *rows(0, 150, 10.0 * k))]
+    path = saved(tmp_path, lines)
+    runs = read_runs(path, COLUMNS, currents=0.5)
+    assert [run.sample_count for run in runs] == [150, 150, 150]
+    assert "--split" in refused(path)
+
+
+def test_cycles_whose_time_goes_on_stay_together(tmp_path: Path) -> None:
+    lines = [*HEAD, *rows(0, 70), "", "Cycle 2", *HEAD, *rows(70, 140), *HEAD, *rows(140)]
+    assert note_of(saved(tmp_path, lines)) == ""
+
+
+def test_blocks_without_a_time_are_runs(tmp_path: Path) -> None:
+    lines = [line for _ in range(2) for line in ("Stroke,Load", "mm,N", *untimed(0, 150))]
+    path = saved(tmp_path, lines)
+    assert "run.csv holds 2 blocks of samples, the second from line 155 on" in refused(
+        path, UNTIMED, period=0.01
+    )
+    runs = read_runs(path, UNTIMED, currents=0.5, period=0.01)
+    assert [run.sample_count for run in runs] == [150, 150]
+
+
+@pytest.mark.parametrize(
+    "summary",
+    [
+        ["", "Maximum,5.0,700", "Minimum,-5.0,-700"],
+        ["End of test"],
+        ["", "Cycle,Peak (mm),Peak (N)", "1,5.0,700", "2,5.0,699"],
+    ],
+)
+def test_a_summary_below_the_samples_is_left_out(tmp_path: Path, summary: list[str]) -> None:
+    note = note_of(saved(tmp_path, [*HEAD, *rows(), *summary]))
+    assert "the lines of run.csv from 20" in note
+    assert "hold no samples and were left out" in note
+
+
+def test_a_second_table_is_refused(tmp_path: Path) -> None:
+    lines = [*HEAD, *rows(), "Time,Load,Stroke", "s,N,mm", *rows()]
+    sentence = refused(saved(tmp_path, lines))
+    assert "run.csv holds a second table from line 203 on ('Time; Load; Stroke')" in sentence
+
+
+def test_units_that_change_between_blocks_are_refused(tmp_path: Path) -> None:
+    lines = [*HEAD, *rows(), HEAD[0], "s,mm,kN", *rows(start=10.0)]
+    assert "second table from line 203 on" in refused(saved(tmp_path, lines))
+
+
+@pytest.mark.parametrize("line", [3, 8, 100])
+@pytest.mark.parametrize("text", ["0.5000,oops,1.0000", "0.5000,,1.0000", "0.5000,1.0000"])
+def test_a_broken_row_between_samples_is_refused(tmp_path: Path, line: int, text: str) -> None:
+    lines = rows()
+    lines[line - 1] = text
+    assert f"line {line} of run.csv" in refused(saved(tmp_path, lines))
+
+
+# -- the end of the file ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cut", [1, 3, 6, 9, 14])
+@pytest.mark.parametrize("form", ["%.4f", "%.6g"])
+def test_a_cut_file_says_that_its_last_row_is_left_out(tmp_path: Path, cut: int, form: str) -> None:
+    path = tmp_path / "run.csv"
+    np.savetxt(path, np.column_stack((TIME, STROKE, FORCE)), fmt=form, delimiter=",")
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text[: -cut - 1], encoding="utf-8")
+    run = read_record(path, COLUMNS, current=0.5)
+    assert run.sample_count == 199
+    np.testing.assert_allclose(run.force, FORCE[:199], rtol=1e-5, atol=1e-4)
+    assert "line 200" in run.details["note"]
+    assert "the file is cut" in run.details["note"]
+
+
+def test_a_whole_last_row_needs_no_line_break(tmp_path: Path) -> None:
+    assert note_of(saved(tmp_path, [*HEAD, *rows()], end="")) == ""
+
+
+# -- headings --------------------------------------------------------------------------------------
+
+
+def test_a_heading_may_hold_a_comma_in_quotes(tmp_path: Path) -> None:
+    head = '"Total Time (s)","Position(8800 (0,1):Position) (mm)","Load(8800 (0,1):Load) (N)"'
+    columns = (
+        'time=Total Time (s):s,displacement="Position(8800 (0,1):Position) (mm)":mm,'
+        'force="Load(8800 (0,1):Load) (N)":N'
+    )
+    assert note_of(saved(tmp_path, [head, *rows()]), columns) == ""
+
+
+@pytest.mark.parametrize(
+    ("entry", "header"),
+    [
+        ('force="a,b":N', "a,b"),
+        ("force=a=b:N", "a=b"),
+        ("force=a:b:N", "a:b"),
+        ('force="a:b=c,d":N', "a:b=c,d"),
+        ('force=5" cell:N', '5" cell'),
+    ],
+)
+def test_headings_with_the_marks_of_a_description(entry: str, header: str) -> None:
+    columns = parse_columns(f"displacement=x:mm,{entry}")
+    assert [column.header for column in columns.wanted] == ["x", header]
+
+
+def test_a_comma_that_ends_an_entry_is_explained() -> None:
+    with pytest.raises(ColumnError, match="a comma ends an entry, unless it stands in double"):
+        parse_columns("displacement=x:mm,force=Load (0,1):N")
+
+
+def test_the_same_heading_above_several_columns_is_refused(tmp_path: Path) -> None:
+    lines = ["Time,Stroke,Load,Time,Stroke,Load", *(f"{row},{row}" for row in rows())]
+    path = saved(tmp_path, lines)
+    sentence = refused(path, "time=Time:s,displacement=Stroke:mm,force=Load:N")
+    assert (
+        "has the heading 'Time' 2 times (columns 1, 4): select the columns by position" in sentence
+    )
+    note = note_of(path, f"{COLUMNS},...")
+    assert "columns 4, 5, 6 have the same headings and were not read" in note
+
+
+def test_a_file_of_more_numbers_than_headings_is_refused(tmp_path: Path) -> None:
+    lines = ["Time,Load", *(f"{k // 100},{k % 100:02d},{k % 7},{k % 10}" for k in range(200))]
+    sentence = refused(saved(tmp_path, lines), "displacement:mm,force:N,...", period=0.01)
+    assert "has 4 columns below 2 headings: commas separate the columns" in sentence
+
+
+# -- units of the headings -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("head", "columns", "sentence"),
+    [
+        (["Time (s),Stroke (mm),Load (kN)"], COLUMNS, "'Load (kN)' and has the unit kN"),
+        (["Time (s),Stroke (mm),Load [kN]"], COLUMNS, "write force:kN, or, if the heading is"),
+        (["t,x,F", "s,mm,kN"], COLUMNS, "write force:kN"),
+        (["t,x,F", "[s],[mm],[N]"], "time:ms,displacement:mm,force:N", "write time:s"),
+        (["t,x,F", "Sec,inch,lbf"], COLUMNS, "write displacement:in"),
+        (["t,x,F", "s,mm,N"], "time:s,displacement:um,force:N", "write displacement:mm"),
+        (["t,x,F", "s,N,mm"], COLUMNS, "unit N, but the columns say displacement:mm: describe"),
+        (["Time/s,Stroke/mm,Force/daN"], COLUMNS, "write force:10*N"),
+        (["Time_s,Stroke_mm,Force_kN"], COLUMNS, "write force:kN"),
+        (["t,x,F", "s,mm,kN"], "time=t:s,displacement=x:mm,force=F:N", "write force:kN"),
+        (["t,x,F", "s,mm,kN"], "time:s,displacement:mm,force:-1*N", "write force:kN"),
+    ],
+)
+def test_a_unit_that_contradicts_the_heading_is_refused(
+    tmp_path: Path, head: list[str], columns: str, sentence: str
+) -> None:
+    assert sentence in refused(saved(tmp_path, [*head, *rows()]), columns)
+
+
+@pytest.mark.parametrize(
+    ("head", "columns"),
+    [
+        (["Time (s),Stroke (mm),Load (N)"], COLUMNS),
+        (["t,x,F", "s,mm,kN"], "time:s,displacement:mm,force:1*N"),
+        (["Time (s),Stroke (V),Load (Missus)"], COLUMNS),
+        (["Time (s),Channel A,Load (A)"], COLUMNS),
+        (["t,s,F"], COLUMNS),
+        (["Time in s,Stroke in mm,Min. load"], COLUMNS),
+        (["Time,Stroke,Load", "sec.,Millimeter,Newton"], COLUMNS),
+        (["Damper 7", "2024", "-,-,-"], COLUMNS),
+    ],
+)
+def test_units_that_agree_or_cannot_be_read_are_no_contradiction(
+    tmp_path: Path, head: list[str], columns: str
+) -> None:
+    assert note_of(saved(tmp_path, [*head, *rows()]), columns) == ""
+
+
+def test_another_period_than_the_file_states_is_said(tmp_path: Path) -> None:
+    head = ["LabVIEW Measurement", "Delta_X\t0.01\t0.01", "***End_of_Header***", "X_Value\tS\tL"]
+    lines = [*head, *("\t" + row.replace(",", "\t") for row in untimed())]
+    path = saved(tmp_path, lines)
+    assert read_record(path, f"-,{UNTIMED}", current=0.5).period == 0.01
+    note = note_of(path, f"-,{UNTIMED}", period=0.02)
+    assert "run.csv states a period of 0.01 s, but 0.02 s was given" in note
