@@ -33,6 +33,12 @@ _SAME_PERIOD = 0.001
 _GAP = 1.5
 """A time step is a gap if it exceeds this multiple of the median step."""
 
+_SHORT = 0.25
+"""A step is short if it is shorter than the usual one by more than this fraction of it."""
+
+_FEW = 0.05
+"""Largest fraction of short steps in a record that is otherwise uniform."""
+
 _EPOCH = 1e9
 """Times above this value [s] are relative to 1970, smaller ones to the start of the record."""
 
@@ -156,6 +162,9 @@ class SampledRecord:
                 f"{self.place(self.blocks[0])} on, and no column holds the time: cut it into its "
                 "runs (mr-damper import --split)"
             )
+        uniform = self._without_short_steps() if self.period is None else None
+        if uniform is not None:
+            return uniform.recording(current, name)
         velocity = self.values.get("velocity")
         if velocity is not None:
             self.check_finite("velocity", velocity)
@@ -181,6 +190,40 @@ class SampledRecord:
         if velocity is not None and "displacement" in self.values:
             _check_velocity(recording, velocity)
         return recording
+
+    def _without_short_steps(self) -> SampledRecord | None:
+        """The record at uniform times, if a few steps are shorter than all others.
+
+        Test machines add a sample at the end of a segment. None if there is no such step, or if
+        the sampling is not uniform otherwise.
+        """
+        steps = np.diff(self.time)
+        if steps.size < 2 or np.any(steps <= 0.0):
+            return None
+        usual = float(np.median(steps))
+        short = steps < (1.0 - _SHORT) * usual
+        others = np.abs(steps[~short] - usual) > _SHORT * usual
+        if not 0 < np.count_nonzero(short) <= _FEW * steps.size + 1.0 or np.any(others):
+            return None
+        # Two steps around an additional sample make one.
+        whole = _plain(float(np.sum(steps[~short])), int(np.count_nonzero(~short)), 0.01 * usual)
+        time = np.arange(self.time[0], self.time[-1] + 1e-6 * whole, whole)
+        values = {}
+        for quantity, array in self.values.items():
+            self.check_finite(quantity, array)
+            if quantity == "current":
+                rows = np.searchsorted(self.time, time + 1e-6 * whole, side="right") - 1
+                values[quantity] = array[rows]
+            else:
+                values[quantity] = np.interp(time, self.time, array)
+        note = (
+            f"{np.count_nonzero(short)} of {steps.size} steps of the time are shorter than "
+            f"{whole:.6g} s: the samples were interpolated to uniform times"
+        )
+        notes = [*filter(None, [self.details.get("note")]), note]
+        return replace(
+            self, time=time, values=values, details={**self.details, "note": "; ".join(notes)}
+        )
 
     def _even_pace(self) -> tuple[float, str]:
         """Period [s] of uniform times, and a note if they jitter.

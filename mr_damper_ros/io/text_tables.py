@@ -486,7 +486,7 @@ class TextFile:
         progress: Progress | None,
     ) -> _Samples:
         samples = _Samples(self._name, outline, len(positions), marks)
-        done = 0
+        done, last = 0, ""
         for number, lines, ended in self._blocks():
             done += sum(map(len, lines)) + len(lines)
             if progress is not None and self._size:
@@ -499,7 +499,8 @@ class TextFile:
             if block is not None:
                 samples.add(block, number)
             else:
-                self._add_rows(samples, number, lines, ended, positions, dates, marks)
+                self._add_rows(samples, number, lines, ended, positions, dates, marks, last)
+            last = lines[-1]
             if samples.count > maximum_samples:
                 raise too_long(self._name, maximum_samples)
         samples.finish()
@@ -555,6 +556,7 @@ class TextFile:
         positions: list[int],
         dates: set[int],
         marks: Marks,
+        previous: str,
     ) -> None:
         """Read rows one by one: numbers, text between blocks of samples, or an incomplete row."""
         outline = samples.outline
@@ -574,7 +576,9 @@ class TextFile:
             )
             if len(numbers) == len(positions) and not key:
                 self._check_fields(line, fields, outline)
-                if not ended and not _is_complete(outline, fields, lines[-1], positions):
+                if not ended and not self._is_complete(
+                    outline, lines[-1], fields, positions, previous
+                ):
                     samples.flush(values, where)
                     samples.torn(line, fields, "")
                     continue
@@ -591,6 +595,28 @@ class TextFile:
             else:
                 samples.torn(line, fields, self._unreadable(line, fields, positions, dates, marks))
         samples.flush(values, where)
+
+    def _is_complete(
+        self,
+        outline: Outline,
+        line: str,
+        fields: list[str],
+        positions: list[int],
+        previous: str,
+    ) -> bool:
+        """Whether the needed fields of the last row are whole, although its line has no end.
+
+        A field is whole if another one or a quotation mark follows it, if it equals the field
+        above, or if all fields above have the same number of decimals.
+        """
+        last = max(positions)
+        if len(fields) > last + 1 or line.rstrip().endswith('"'):
+            return True
+        above = [other[last] for _, other in self._split([(0, previous)]) if last < len(other)]
+        if fields[last] in above:
+            return True
+        forms = {_form(other[last]) for _, other in outline.sample if last < len(other)}
+        return forms == {_form(fields[last])} and forms != {(0, 0)}
 
     def _check_fields(self, line: int, fields: list[str], outline: Outline) -> None:
         """Raise RecordError if a row has more numbers, or fewer words, than the others."""
@@ -837,11 +863,11 @@ def _stretches(flags: list[bool], first: int) -> list[tuple[int, int]]:
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
-def _form(text: str) -> tuple[int, bool]:
-    """Number of decimals of a number, and whether it has an exponent."""
+def _form(text: str) -> tuple[int, int]:
+    """Number of decimals of a number, and number of characters of its exponent."""
     mantissa, exponent, _ = text.lower().partition("e")
     mark = max(mantissa.rfind("."), mantissa.rfind(","))
-    return (len(mantissa) - mark - 1 if mark >= 0 else 0, bool(exponent))
+    return (len(mantissa) - mark - 1 if mark >= 0 else 0, len(exponent))
 
 
 _FIXED_ROWS = 12
@@ -874,20 +900,6 @@ def _odd_rows(sample: list[Row], positions: list[int]) -> int:
 def _width(sample: Sequence[Row]) -> int:
     """The usual number of fields of the rows."""
     return Counter(len(fields) for _, fields in sample).most_common(1)[0][0]
-
-
-def _is_complete(outline: Outline, fields: list[str], line: str, positions: list[int]) -> bool:
-    """Whether the last row is whole, although its line has no end.
-
-    It is if it ends with a quotation mark or a separator like the other rows, or if all rows have
-    the same number of decimals.
-    """
-    if len(fields) != outline.width:
-        return False
-    if outline.separator and line.rstrip(" ").endswith(('"', outline.separator)):
-        return True
-    forms = {_form(row[-1]) for _, row in outline.sample if len(row) == outline.width}
-    return forms == {_form(fields[-1])}
 
 
 def _headings(

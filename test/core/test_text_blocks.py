@@ -146,7 +146,7 @@ def test_a_broken_row_between_samples_is_refused(tmp_path: Path, line: int, text
 
 
 @pytest.mark.parametrize("cut", [1, 3, 6, 9, 14])
-@pytest.mark.parametrize("form", ["%.4f", "%.6g"])
+@pytest.mark.parametrize("form", ["%.4f", "%.6g", "%.5e"])
 def test_a_cut_file_says_that_its_last_row_is_left_out(tmp_path: Path, cut: int, form: str) -> None:
     path = tmp_path / "run.csv"
     np.savetxt(path, np.column_stack((TIME, STROKE, FORCE)), fmt=form, delimiter=",")
@@ -159,8 +159,39 @@ def test_a_cut_file_says_that_its_last_row_is_left_out(tmp_path: Path, cut: int,
     assert "the file is cut" in run.details["note"]
 
 
+@pytest.mark.parametrize("cut", [1, 2])
+def test_a_whole_number_may_be_cut_too(tmp_path: Path, cut: int) -> None:
+    pairs = zip(rows(), FORCE, strict=True)
+    lines = [f"{row.rpartition(',')[0]},{force:.0f}" for row, force in pairs]
+    path = saved(tmp_path, lines, end="")
+    path.write_text(path.read_text(encoding="utf-8")[:-cut], encoding="utf-8")
+    assert read_record(path, COLUMNS, current=0.5).sample_count == 199
+
+
 def test_a_whole_last_row_needs_no_line_break(tmp_path: Path) -> None:
     assert note_of(saved(tmp_path, [*HEAD, *rows()], end="")) == ""
+
+
+def test_a_column_below_which_others_follow_is_not_cut(tmp_path: Path) -> None:
+    lines = [f"{row},{k // 7}" for k, row in enumerate(rows())]
+    assert note_of(saved(tmp_path, lines, end=""), f"{COLUMNS},-") == ""
+
+
+@pytest.mark.parametrize("segments", [1, 4])
+def test_short_steps_at_the_ends_of_segments_are_interpolated(
+    tmp_path: Path, segments: int
+) -> None:
+    ends = np.linspace(0.0, 10.0, segments + 1)[1:] + 0.0037
+    time = np.union1d(np.arange(1001) * 0.01, ends)
+    path = tmp_path / "run.csv"
+    table = np.column_stack((time, 5.0 * np.sin(4.0 * time), 700.0 * np.cos(4.0 * time)))
+    np.savetxt(path, table, fmt="%.5f", delimiter=",")
+    run = read_record(path, COLUMNS, current=0.5)
+    uniform = np.arange(run.sample_count) * 0.01
+    assert run.period == pytest.approx(0.01, rel=1e-6)
+    # [N]: linear interpolation over 10 ms at 4 rad/s.
+    np.testing.assert_allclose(run.force, 700.0 * np.cos(4.0 * uniform), rtol=0.0, atol=0.2)
+    assert "the samples were interpolated to uniform times" in run.details["note"]
 
 
 # -- headings --------------------------------------------------------------------------------------
