@@ -865,7 +865,7 @@ def _stretches(flags: list[bool], first: int) -> list[tuple[int, int]]:
 
 def _form(text: str) -> tuple[int, int]:
     """Number of decimals of a number, and number of characters of its exponent."""
-    mantissa, exponent, _ = text.lower().partition("e")
+    mantissa, _, exponent = text.lower().partition("e")
     mark = max(mantissa.rfind("."), mantissa.rfind(","))
     return (len(mantissa) - mark - 1 if mark >= 0 else 0, len(exponent))
 
