@@ -158,7 +158,7 @@ def check_unit(name: str, column: Column, position: int, heading: str, unit: Uni
 
     A factor in the description is the user's own conversion, which is not compared.
     """
-    if unit is None or column.deliberate:
+    if unit is None or column.deliberate or column.holds_dates:
         return
     said = f"{column.quantity}:{column.unit}"
     where = f"column {position + 1} of {name}" + (f" is headed '{heading}'" if heading else "")

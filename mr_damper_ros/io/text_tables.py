@@ -272,7 +272,9 @@ class TextFile:
             for place in numeric
             if sum(_holds(fields, place, _is_date) for _, fields in later) > 0.5 * len(later)
         }
-        return self._outline(numeric, dates, 0)
+        outline = self._outline(numeric, dates, 0)
+        self._check_width(list(outline.headings), list(outline.sample), numeric)
+        return outline
 
     def table(
         self,
@@ -356,10 +358,13 @@ class TextFile:
         layout = layout_of(line for _, line in self._head[:start])
         headings, units = _headings(head[max(after - 1, 0) :] if after else head, positions, after)
         repeated = tuple(tuple(row) for row in (headings, units) if row)
-        if not self._separator and len(headings) != _width(sample):
-            headings = []  # of several words each
+        if not self._separator and not after:
+            # Headings of several words do not show their columns.
+            headings = headings if len(headings) == _width(sample) else []
+            units = units if len(units) == _width(sample) else []
         stated = _row_of(head, layout.unit_row)
-        self._check_width(headings, sample, numeric)
+        if after:
+            self._check_width(headings, sample, numeric)
         return Outline(
             layout,
             self._separator,
@@ -376,15 +381,21 @@ class TextFile:
         )
 
     def _check_width(self, headings: list[str], sample: list[Row], numeric: list[int]) -> None:
-        """Raise RecordError if rows that commas separate have more numbers than headings."""
+        """Raise RecordError if headings that select columns do not belong to the columns."""
         width = len(headings)
-        if self._separator == "," and width > 1 and max(numeric, default=0) >= width:
-            line, fields = sample[0]
-            raise RecordError(
-                f"line {line} of {self._name} has {len(fields)} columns below {width} headings: "
-                "commas separate the columns, and other commas are decimal marks or thousands "
-                "separators; export the file with another separator"
-            )
+        line, fields = sample[0]
+        if not headings or (width == len(fields) if not self._separator else width > max(numeric)):
+            return
+        reason = {
+            "": "spaces separate the columns, and headings of several words do not show theirs",
+            ",": "commas separate the columns, and other commas are decimal marks or thousands "
+            "separators, or a column has no heading",
+        }
+        raise RecordError(
+            f"line {line} of {self._name} has {len(fields)} columns below {width} headings: "
+            f"{reason.get(self._separator, 'a column has no heading')}; export the file with "
+            "another separator, or select the columns by position"
+        )
 
     def _find_header(self, names: list[str]) -> tuple[int, list[int]]:
         """The number of rows up to the header, and the positions of the columns."""

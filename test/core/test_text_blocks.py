@@ -237,10 +237,26 @@ def test_the_same_heading_above_several_columns_is_refused(tmp_path: Path) -> No
     assert "columns 4, 5, 6 have the same headings and were not read" in note
 
 
-def test_a_file_of_more_numbers_than_headings_is_refused(tmp_path: Path) -> None:
-    lines = ["Time,Load", *(f"{k // 100},{k % 100:02d},{k % 7},{k % 10}" for k in range(200))]
-    sentence = refused(saved(tmp_path, lines), "displacement:mm,force:N,...", period=0.01)
-    assert "has 4 columns below 2 headings: commas separate the columns" in sentence
+@pytest.mark.parametrize(
+    ("head", "separator", "sentence"),
+    [
+        ("Time,Stroke,Load", ",", "3 headings: commas separate the columns"),
+        ("Time;Stroke;Load", ";", "3 headings: a column has no heading"),
+        ("Time Stroke Load cell No", " ", "5 headings: spaces separate the columns"),
+    ],
+)
+def test_headings_that_do_not_belong_to_the_columns_are_refused(
+    tmp_path: Path, head: str, separator: str, sentence: str
+) -> None:
+    data = [separator.join([f"{k}", *row.split(",")]) for k, row in enumerate(rows())]
+    path = saved(tmp_path, [head, *data])
+    columns = "time=Time:s,displacement=Stroke:mm,force=Load:N"
+    assert sentence in refused(path, columns)
+    assert note_of(path, f"-,{COLUMNS}") == ""
+
+
+def test_a_row_of_several_words_does_not_hinder_columns_by_position(tmp_path: Path) -> None:
+    assert note_of(saved(tmp_path, ["Damper 7,0.5 A", *rows()])) == ""
 
 
 # -- units of the headings -------------------------------------------------------------------------
