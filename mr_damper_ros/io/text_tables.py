@@ -340,20 +340,6 @@ class TextFile:
             for place in range(max(len(fields) for _, fields in sample))
             if 2 * sum(_holds(fields, place, looks_numeric) for _, fields in sample) >= len(sample)
         ]
-        empty = [p for p in range(_width(sample)) if all(not _holds(f, p) for _, f in sample)]
-        notes = [
-            f"{_lines(*line)} of {self._name} with numbers above the table ('{text}') was left out"
-            for line, text in [
-                ((rows[k][0], rows[k][0]), _shown(rows[k][1]))
-                for k in range(after, start)
-                if flags[k] and not any(_holds(rows[k][1], place) for place in empty)
-            ][-1:]
-        ]
-        notes += [
-            f"line {line} of {self._name} ('{_shown(fields)}') has another form than the rows "
-            "below it and was left out"
-            for line, fields in sample[:odd]
-        ]
         head = [fields for _, fields in rows[:start]]
         layout = layout_of(line for _, line in self._head[:start])
         headings, units = _headings(head[max(after - 1, 0) :] if after else head, positions, after)
@@ -377,8 +363,34 @@ class TextFile:
             repeated,
             tuple(sample[odd:]),
             _period(_row_of(head, layout.period_row)),
-            tuple(notes),
+            tuple(self._left_out_above(rows[after:start], sample, odd, positions)),
         )
+
+    def _left_out_above(
+        self, above: list[Row], sample: list[Row], odd: int, positions: list[int]
+    ) -> list[str]:
+        """Notes on rows above the samples that could be samples."""
+        # Rows of a header have texts where all samples are empty.
+        empty = [p for p in range(_width(sample)) if not any(_holds(f, p) for _, f in sample)]
+        doubtful = [
+            (line, fields, "is no whole row of numbers")
+            for line, fields in above[-1:]
+            if self._is_torn(fields, positions)
+        ]
+        doubtful += [
+            (line, fields, "has numbers, but does not belong to the table")
+            for line, fields in above
+            if all(_holds(fields, p, looks_numeric) for p in positions)
+            and not any(_holds(fields, p) for p in empty)
+        ][-1:]
+        doubtful += [
+            (line, fields, "has another form than the rows below it")
+            for line, fields in sample[:odd]
+        ]
+        return [
+            f"line {line} of {self._name} ('{_shown(fields)}') {what} and was left out"
+            for line, fields, what in doubtful
+        ]
 
     def _check_width(self, headings: list[str], sample: list[Row], numeric: list[int]) -> None:
         """Raise RecordError if headings that select columns do not belong to the columns."""
@@ -631,8 +643,8 @@ class TextFile:
 
     def _check_fields(self, line: int, fields: list[str], outline: Outline) -> None:
         """Raise RecordError if a row has more numbers, or fewer words, than the others."""
-        surplus = [text for text in fields[outline.width :] if looks_numeric(text)]
-        if surplus or (not self._separator and len(fields) < outline.width):
+        surplus = any(looks_numeric(text) for text in fields[outline.width :])
+        if surplus or (not self._separator and len(fields) != outline.width):
             raise _UnreadableError(
                 f"line {line} of {self._name} has {len(fields)} columns, the other rows have "
                 f"{outline.width} ('{_shown(fields)}'): is a comma or a space in it a thousands "
