@@ -178,7 +178,8 @@ class Outline:
     ``separator`` separates the fields. ``first_line`` is the line of the first sample, ``width``
     the number of fields of a row, and ``numeric`` the columns of numbers. ``headings`` and
     ``units`` belong to the columns from the left; both may be shorter than a row. ``repeated`` are
-    the rows of headings that a further block of samples repeats. ``sample`` holds the first rows.
+    the rows of headings that a further block of samples repeats, ``keyed`` the rows of units and
+    periods by their first cell. ``sample`` holds the first rows.
     ``period`` is the sample period [s] that the file states, if any.
     """
 
@@ -191,9 +192,17 @@ class Outline:
     headings: tuple[str, ...]
     units: tuple[str, ...]
     repeated: tuple[tuple[str, ...], ...]
+    keyed: dict[str, list[str]]
     sample: tuple[Row, ...]
     period: float | None
     notes: tuple[str, ...]
+
+    def is_labelled(self, fields: list[str]) -> bool:
+        """Whether a row begins with a word, where the samples have a number or nothing."""
+        first = self.numeric[0]
+        places = [first, *(p for p in range(first) if not _holds(self.sample[0][1], p))]
+        words = (fields[place] for place in places if _holds(fields, place))
+        return any(not looks_numeric(word) and not _is_date(word) for word in words)
 
     def heading(self, column: int) -> str:
         """The heading of a column; empty if it has none."""
@@ -348,7 +357,9 @@ class TextFile:
             # Headings of several words do not show their columns.
             headings = headings if len(headings) == _width(sample) else []
             units = units if len(units) == _width(sample) else []
-        stated = _row_of(head, layout.unit_row)
+        keys = [key for key in (layout.unit_row, layout.period_row) if key]
+        keyed = {key: row for key in keys if (row := _row_of(head, key))}
+        stated = keyed.get(layout.unit_row or "", [])
         if after:
             self._check_width(headings, sample, numeric)
         return Outline(
@@ -361,8 +372,9 @@ class TextFile:
             tuple(headings),
             tuple((stated[1:] and ["", *stated[1:]]) or units),
             repeated,
+            keyed,
             tuple(sample[odd:]),
-            _period(_row_of(head, layout.period_row)),
+            _period(keyed.get(layout.period_row or "", [])),
             tuple(self._left_out_above(rows[after:start], sample, odd, positions)),
         )
 
@@ -594,10 +606,8 @@ class TextFile:
                 for p in positions
             ]
             numbers = [value for value in found if value is not None]
-            key = _holds(fields, outline.numeric[0]) and not _holds(
-                fields, outline.numeric[0], lambda text: looks_numeric(text) or _is_date(text)
-            )
-            if len(numbers) == len(positions) and not key:
+            labelled = outline.is_labelled(fields)
+            if len(numbers) == len(positions) and not labelled:
                 self._check_fields(line, fields, outline)
                 if not ended and not self._is_complete(
                     outline, lines[-1], fields, positions, previous
@@ -613,7 +623,7 @@ class TextFile:
                 continue
             samples.flush(values, where)
             values, where = [], []
-            if key or not any(_holds(fields, p, looks_numeric) for p in positions):
+            if labelled or not any(_holds(fields, p, looks_numeric) for p in positions):
                 samples.text(line, fields)
             else:
                 samples.torn(line, fields, self._unreadable(line, fields, positions, dates, marks))
@@ -785,6 +795,12 @@ class _Samples:
     def _begin_block(self) -> None:
         """Begin a block of samples below repeated headings or a remark."""
         repeated = self.outline.repeated
+        for line, fields in self._between:
+            if fields[0] and fields != self.outline.keyed.get(fields[0], fields):
+                raise RecordError(
+                    f"line {line} of {self._name} ('{_shown(fields)}') differs from the one above "
+                    "the first samples: save the blocks in files of their own"
+                )
         rows = [tuple(fields) for _, fields in self._between]
         same = bool(repeated) and rows[-len(repeated) :] == list(repeated)
         if not same and any(self._is_header(fields) for _, fields in self._between):
@@ -943,9 +959,9 @@ def _headings(
     return (last if 2 * texts(last) >= len(positions) else []), []
 
 
-def _row_of(head: list[list[str]], key: str | None) -> list[str]:
+def _row_of(head: list[list[str]], key: str) -> list[str]:
     """The last row whose first cell is a key."""
-    return next((row for row in reversed(head) if key and row and row[0] == key), [])
+    return next((row for row in reversed(head) if row and row[0] == key), [])
 
 
 def _period(row: list[str]) -> float | None:

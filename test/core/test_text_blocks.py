@@ -109,6 +109,25 @@ def test_blocks_without_a_time_are_runs(tmp_path: Path) -> None:
     assert [run.sample_count for run in runs] == [150, 150]
 
 
+def lvm_segment(first: int, last: int, period: str) -> list[str]:
+    head = ["Channels\t2", f"Samples\t{last - first}\t{last - first}", "X0\t0.0\t0.0"]
+    head += [f"Delta_X\t{period}\t{period}", "***End_of_Header***", "X_Value\tStroke\tLoad"]
+    return [*head, *("\t" + row.replace(",", "\t") for row in untimed(first, last)), ""]
+
+
+def test_segments_of_a_labview_file_are_runs(tmp_path: Path) -> None:
+    head = ["LabVIEW Measurement", "***End_of_Header***"]
+    segments = lvm_segment(0, 150, "0.01"), lvm_segment(0, 150, "0.01")
+    path = saved(tmp_path, [*head, *segments[0], *segments[1]])
+    columns = f"-,{UNTIMED}"
+    assert "holds 2 blocks of samples" in refused(path, columns)
+    runs = read_runs(path, columns, currents=0.5)
+    assert [run.sample_count for run in runs] == [150, 150]
+    np.testing.assert_allclose(runs[1].force, FORCE[:150], rtol=0.0, atol=1e-4)
+    other = saved(tmp_path, [*head, *segments[0], *lvm_segment(0, 150, "0.02")])
+    assert "('Delta_X; 0.02; 0.02') differs from the one above" in refused(other, columns)
+
+
 @pytest.mark.parametrize(
     "summary",
     [
