@@ -123,6 +123,19 @@ def read_binary_table(
     )
 
 
+def text_of_sheet(path: Path, variable: str | None, maximum_samples: int) -> TextFile:
+    """The text of a sheet; raises RecordError, also for other formats, with their contents."""
+    form = FORMATS[path.suffix.lower()]
+    content = _confined(form, path, maximum_samples, variable)
+    if isinstance(content, str):
+        return TextFile(lambda: io.StringIO(content), path.name, _SEPARATOR)
+    listed = ", ".join(group.label for group in content) or f"no {form.words[0]} of numbers"
+    raise RecordError(
+        f"{path.name} is {form.what} and holds {listed}: describe its columns (--columns) and name "
+        "the bag (--output)"
+    )
+
+
 def _group(
     name: str, form: Format, groups: list[Group], columns: Columns, variable: str | None
 ) -> tuple[Group, str]:

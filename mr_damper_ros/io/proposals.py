@@ -9,8 +9,8 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from mr_damper_ros.io.binary_tables import FORMATS
-from mr_damper_ros.io.columns import DATE_AND_TIME, REST, SKIPPED, RecordError
+from mr_damper_ros.io.binary_tables import FORMATS, text_of_sheet
+from mr_damper_ros.io.columns import DATE_AND_TIME, MAXIMUM_SAMPLES, REST, SKIPPED
 from mr_damper_ros.io.headings import Unit, is_signal
 from mr_damper_ros.io.text_tables import Outline, of_text_file
 
@@ -39,17 +39,19 @@ class Proposal:
         return "force" in self.quantities and bool({"displacement", "velocity"} & self.quantities)
 
 
-def propose_columns(path: Path) -> Proposal:
-    """Describe the columns of a text file; raises RecordError if it holds no table."""
+def propose_columns(path: Path, variable: str | None = None, timed: bool = False) -> Proposal:
+    """Describe the columns of a text file, or of a sheet, which ``variable`` selects.
+
+    ``timed``: whether the sample period is known. Raises RecordError if there is no table.
+    """
     if path.suffix.lower() in FORMATS:
-        raise RecordError(
-            f"{path.name} is {FORMATS[path.suffix.lower()].what}: describe its columns (--columns) "
-            "and name the bag (--output); only text files are described without them"
-        )
-    return _proposal(of_text_file(path, lambda text: text.outline()))
+        outline = text_of_sheet(path, variable, MAXIMUM_SAMPLES).outline()
+    else:
+        outline = of_text_file(path, lambda text: text.outline())
+    return _proposal(outline, timed)
 
 
-def _proposal(outline: Outline) -> Proposal:
+def _proposal(outline: Outline, timed: bool) -> Proposal:
     chosen: dict[str, int] = {}
     remarks, missing = [], []
     for quantity in _USED:
@@ -65,11 +67,13 @@ def _proposal(outline: Outline) -> Proposal:
             )
     if "displacement" in chosen:
         chosen.pop("velocity", None)
+    if timed:
+        chosen.pop("time", None)
     wanted = chosen
     for quantity in _NEEDED:
         if quantity in wanted or (quantity == "displacement" and "velocity" in wanted):
             continue
-        if quantity == "time" and outline.period is not None:
+        if quantity == "time" and (timed or outline.period is not None):
             continue
         missing.append(
             "the file does not state the time between samples: give it (--period)"

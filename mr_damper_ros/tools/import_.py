@@ -1,6 +1,7 @@
 """Convert a text, CSV, MAT, XLSX or TDMS file to a bag.
 
-With nothing but a text file, show its headings, units and first rows, and propose the command.
+With nothing but a text file or a sheet, show its headings, units and first rows, and propose the
+command.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -47,6 +49,10 @@ _OPTIONS = (
     *("columns", "current", "period", "start", "stop", "moving_average", "begins_in_motion"),
     *("variable", "decimal_mark", "maximum_samples"),
 )
+_BOTH = (
+    "give both the columns (--columns) and the bag (--output); without either, the program "
+    "proposes the command"
+)
 _FLAGS = {"start": "--from", "stop": "--to", "moving_average": "--undo-moving-average"}
 
 
@@ -72,12 +78,9 @@ def _options(parser: argparse.ArgumentParser) -> None:
 
 def _import(options: argparse.Namespace) -> int:
     if options.columns is None and options.output is None:
-        return _propose(options.file)
+        return _propose(options)
     if options.columns is None or options.output is None:
-        raise RecordError(
-            "give both the columns (--columns) and the bag (--output); without either, the program "
-            "proposes the command"
-        )
+        raise RecordError(_BOTH)
     if options.begins_in_motion and options.moving_average is None:
         raise RecordError("--begins-in-motion also needs --undo-moving-average")
     if options.split:
@@ -94,11 +97,21 @@ def _import(options: argparse.Namespace) -> int:
     return 0
 
 
-def _propose(path: Path) -> int:
+_CARRIED = ("current", "period", "variable", "decimal_mark")
+"""Options that a proposed command takes over."""
+
+
+def _propose(options: argparse.Namespace) -> int:
     """Show what a file holds, and print the command that imports it."""
+    path: Path = options.file
+    others = (options.start, options.stop, options.moving_average, options.currents)
+    if options.split or any(other is not None for other in others):
+        raise RecordError(_BOTH)
     if kind := irregularity(path):
         raise RecordError(f"{path} is {kind}: give a text, CSV, MAT, XLSX or TDMS file")
-    proposal = propose_columns(path)
+    given = {name: getattr(options, name) for name in _CARRIED}
+    given = {name: value for name, value in given.items() if value is not None}
+    proposal = propose_columns(path, options.variable, "period" in given)
     print("\n".join(_outline(path, proposal)))
     for remark in proposal.remarks:
         print(f"note: {remark}")
@@ -107,19 +120,24 @@ def _propose(path: Path) -> int:
             f"no command can be proposed for {path.name}: {'; '.join(proposal.missing)} "
             "(--columns, see mr-damper import --help)"
         )
+    unknown = "current" not in proposal.quantities and "current" not in given
+    if unknown:
+        given["current"] = 0.0
+    reason, split = "; ".join(proposal.missing), False
+    if not reason:
+        reason, split = _tried(path, proposal, given)
     command = ["mr-damper", "import", str(path), "--columns", proposal.columns]
-    if "current" not in proposal.quantities:
-        command += ["--current", "0"]
-    reason = "; ".join(proposal.missing)
-    if not proposal.missing:
-        reason, more = _tried(path, proposal)
-        command += more
+    for name, value in given.items():
+        command += [
+            f"--{name.replace('_', '-')}",
+            str(value) if name != "current" else f"{value:g}",
+        ]
+    command += ["--split"] if split else []
     command += ["--output", str(Path("bags", path.stem))]
+    print(f"the command{', to be completed' if reason else ''}:\n\n  {shlex.join(command)}\n")
     if reason:
-        print(f"the command, to be completed:\n\n  {shlex.join(command)}\n")
         raise RecordError(f"{path.name} cannot be imported as it stands: {reason}")
-    print(f"the command:\n\n  {shlex.join(command)}\n")
-    if "current" not in proposal.quantities:
+    if unknown:
         print(
             "The file does not hold the coil current: replace the 0 of --current by the current "
             "[A] of the run (--currents: of each run)."
@@ -128,23 +146,28 @@ def _propose(path: Path) -> int:
     return 0
 
 
-def _tried(path: Path, proposal: Proposal) -> tuple[str, list[str]]:
-    """Why the file cannot be read with the proposed columns, and the options that it needs."""
-    current = None if "current" in proposal.quantities else 0.0
+def _tried(path: Path, proposal: Proposal, given: dict[str, Any]) -> tuple[str, bool]:
+    """Why the file cannot be read with the proposed columns, and whether it must be split."""
     try:
-        read_record(path, proposal.columns, current=current)
+        read_record(path, proposal.columns, **given)
     except ValueError as error:
         single = str(error)
     else:
-        return "", []
+        return "", False
     try:
-        runs = RunsOfFile(path, proposal.columns)
-        runs.recordings(current)
+        runs = RunsOfFile(
+            path,
+            proposal.columns,
+            given.get("period"),
+            given.get("variable"),
+            text=TextOptions(given.get("decimal_mark")),
+        )
+        runs.recordings(given.get("current"))
     except ValueError as error:
-        return single if "--split" not in single else str(error), []
+        return (str(error) if "--split" in single else single), False
     print(f"{path.name} holds {len(runs.summaries)} runs:")
     print("\n".join(f"  {number}: {text}" for number, text in enumerate(runs.summaries, start=1)))
-    return "", ["--split"]
+    return "", True
 
 
 _SHOWN_ROWS = 3

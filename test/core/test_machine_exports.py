@@ -5,10 +5,12 @@ The inputs are made here in the layouts of the makers; test/README.md lists wher
 
 import shlex
 from collections.abc import Callable, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.tools import import_
@@ -272,8 +274,55 @@ def test_a_column_of_the_current_is_proposed(
     assert "current=Coil current (A):A" in command[command.index("--columns") + 1]
 
 
+def test_a_given_period_goes_into_the_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = saved(tmp_path, without_time(), "run.csv")
+    assert import_.main([str(path), "--period", "0.01", "--current", "0.5"]) == 0
+    shown = capsys.readouterr().out
+    line = next(text for text in shown.splitlines() if text.startswith("  mr-damper import"))
+    assert "replace the 0 of --current" not in shown
+    assert import_.main(shlex.split(line)[2:]) == 0
+    (run,) = read_bag(tmp_path / "bags" / "run")
+    assert run.current[0] == 0.5
+    np.testing.assert_allclose(run.force, FORCE, rtol=0.0, atol=1e-3)
+
+
+@pytest.mark.skipif(find_spec("openpyxl") is None, reason="openpyxl is missing")
+def test_a_sheet_is_described_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from openpyxl import Workbook
+
+    monkeypatch.chdir(tmp_path)
+    book = Workbook()
+    for row in (["Zeit", "Weg", "Kraft"], ["s", "mm", "N"]):
+        book.active.append(row)
+    for numbers in zip(TIME.tolist(), STROKE.tolist(), FORCE.tolist(), strict=True):
+        book.active.append(numbers)
+    path = tmp_path / "run.xlsx"
+    book.save(path)
+    assert import_.main(proposed(path, capsys)) == 0
+    (run,) = read_bag(tmp_path / "bags" / "run")
+    np.testing.assert_allclose(run.force, FORCE, rtol=1e-12)
+
+
+def test_a_file_of_matrices_is_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.mat"
+    savemat(path, {"data": np.ones((40, 3))})
+    assert import_.main([str(path)]) == 2
+    assert "is a MAT file and holds data (40 x 3): describe its columns" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
-    "given", [["--columns", "time:s,displacement:mm,force:N"], ["--output", "x"]]
+    "given",
+    [
+        ["--split"],
+        ["--from", "1"],
+        ["--columns", "time:s,displacement:mm,force:N"],
+        ["--output", "x"],
+    ],
 )
 def test_half_a_command_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], given: list[str]

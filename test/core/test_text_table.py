@@ -13,6 +13,7 @@ import pytest
 from scipy.io import savemat
 
 from mr_damper_ros.io import binary_tables
+from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, RecordError, parse_columns
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.io.text_tables import read_text_table
@@ -39,6 +40,19 @@ def test_memory_is_that_of_the_numbers(tmp_path: Path) -> None:
     # Three numbers of eight bytes, twice, because the parts are joined at the end; and 12 MB to
     # parse fifty thousand lines at a time.
     assert peak < 60 * rows + 12_000_000
+
+
+def test_the_progress_is_that_of_the_file(tmp_path: Path) -> None:
+    path = text_file(tmp_path / "run.csv", 50_000)
+    seen: list[float] = []
+    run = read_record(path, TEXT_COLUMNS, current=0.5, progress=seen.append)
+    assert seen == sorted(seen)
+    assert len(seen) > 2
+    assert seen[-1] == 1.0
+    seen.clear()
+    write_bag(tmp_path / "bag", run, progress=seen.append)
+    assert seen == sorted(seen)
+    assert seen[-1] == 1.0
 
 
 def test_a_file_with_more_samples_than_allowed_is_refused(tmp_path: Path) -> None:
