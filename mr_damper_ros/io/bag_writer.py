@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar
@@ -157,13 +157,18 @@ class BagStream:
 
 
 def write_bag(
-    path: str | Path, recording: Recording, *, block_size: int = 100, overwrite: bool = False
+    path: str | Path,
+    recording: Recording,
+    *,
+    block_size: int = 100,
+    overwrite: bool = False,
+    progress: Callable[[float], None] | None = None,
 ) -> None:
     """Write a recording as a bag folder (MCAP, rosbag2 version 9).
 
     Each message holds ``block_size`` samples. The metadata of the bag hold ``recording.name`` and
     ``recording.details``. The bag has checksums and is written atomically. An existing bag is
-    replaced only with ``overwrite``.
+    replaced only with ``overwrite``. ``progress`` receives the fraction that is written.
 
     Raises BagError if the path exists and may not be replaced, the block size is less than 1, the
     stamps are out of range, or the arguments are interchanged; raises OSError if the files cannot
@@ -193,6 +198,8 @@ def write_bag(
         with named_errors(path):
             for item in stream_of(recording, block_size):
                 bag.write(*_message(item))
+                if progress is not None and isinstance(item, SampleBlock):
+                    progress((item.sequence + item.sample_count) / recording.sample_count)
             bag.close()
         if path.exists():
             path.rename(Path(folder) / "replaced")

@@ -15,6 +15,9 @@ from mr_damper_ros.signals.arrays import Array
 SKIPPED = "-"
 REST = "..."
 
+_ENTRY = re.compile(r',([^=,]*=\s*"[^"]*"[^,]*|[^,]*)')
+"""An entry of a description; commas within double quotes do not end it."""
+
 _FORM = re.compile(
     r"(?:(?P<factor>.*)\*)?\s*(?P<unit>[A-Za-z/]+)"
     r"(?:\s*(?P<offset>[+-][^A-Za-z/]*(?:[eE][+-]?\d+)?)\s*(?P<offset_unit>[A-Za-z/]+))?$"
@@ -32,7 +35,9 @@ class Column:
 
     The SI value is ``factor`` * number + ``offset``. ``header`` is the name of the column; if it is
     empty, ``position`` (from 0) selects the column. ``holds_dates``: whether the cells hold date
-    and time of day.
+    and time of day. ``unit`` is the unit of the description, and ``zero`` its zero in the SI unit.
+    ``deliberate``: whether a factor other than -1 converts the numbers, whatever unit the file
+    states.
     """
 
     quantity: str
@@ -41,6 +46,9 @@ class Column:
     position: int
     header: str = ""
     holds_dates: bool = False
+    unit: str = ""
+    zero: float = 0.0
+    deliberate: bool = False
 
     def to_si(self, values: Array) -> Array:
         """Values in SI units (temperature in °C), shape (n,)."""
@@ -94,11 +102,12 @@ def parse_columns(text: str) -> Columns:
     the header: ``displacement=Stroke:mm,force=Load cell:kN``. A factor before the unit multiplies
     the numbers; a negative factor reverses the sign. An offset after the unit is then added.
     ``time:datetime`` is a column of dates with the time of day. A velocity column can replace a
-    missing displacement column.
+    missing displacement column. A header with a comma is written in double quotes:
+    ``force="Load (0,1)":kN``.
 
     Raises ColumnError if the description is invalid; the message says what to change.
     """
-    entries = [entry.strip() for entry in text.split(",")]
+    entries = [entry.strip() for entry in _ENTRY.findall(f",{text}")]
     open_ended = entries[-1] == REST
     if open_ended:
         entries.pop()
@@ -127,9 +136,12 @@ def _parse_column(entry: str, position: int) -> Column:
     if not colon:
         raise ColumnError(
             f"the column '{entry}' has no unit: write it after a colon, such as force:N, "
-            f"or {SKIPPED} to skip the column"
+            f"or {SKIPPED} to skip the column; a comma ends an entry, unless it stands in double "
+            'quotes, such as force="Load (0,1)":kN'
         )
     quantity, equals, header = (part.strip() for part in name.partition("="))
+    if len(header) > 1 and header[0] == header[-1] == '"':
+        header = header[1:-1].strip()
     if quantity not in UNITS:
         raise ColumnError(
             f"'{quantity}' is not a quantity of a record: use {', '.join(UNITS)}, "
@@ -154,7 +166,23 @@ def _parse_column(entry: str, position: int) -> Column:
             raise _unknown_unit(form["offset_unit"], quantity)
         number = _number(form["offset"].replace(" ", ""), "offset", entry)
         offset += number * UNITS[quantity][form["offset_unit"]]
-    return Column(quantity, factor * scale, offset, position, header, unit == DATE_AND_TIME)
+    return Column(
+        quantity,
+        factor * scale,
+        offset,
+        position,
+        header,
+        unit == DATE_AND_TIME,
+        unit,
+        _ZEROS.get(unit, 0.0),
+        form["factor"] is not None and factor != -1.0,
+    )
+
+
+def parse_unit(quantity: str, text: str) -> tuple[float, float]:
+    """SI value of a unit such as ``kN`` or ``10*N``, and its zero in the SI unit."""
+    column = _parse_column(f"{quantity}:{text}", 0)
+    return column.factor, column.zero
 
 
 def _unknown_unit(unit: str, quantity: str) -> ColumnError:
@@ -208,12 +236,15 @@ class RawTable(NamedTuple):
     """Raw values (n,) by quantity.
 
     ``place`` describes the location of a row in words, for messages. ``period`` is the sample
-    period [s] according to the file, None if it is unknown.
+    period [s] according to the file, None if it is unknown. ``notes`` are sentences on what was
+    left out or changed. ``breaks`` are the rows at which the file begins a new block of samples.
     """
 
     values: dict[str, Array]
     place: Callable[[int], str]
     period: float | None = None
+    notes: tuple[str, ...] = ()
+    breaks: tuple[int, ...] = ()
 
 
 def too_long(name: str, maximum_samples: int) -> RecordError:

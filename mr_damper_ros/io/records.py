@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from mr_damper_ros.io.binary_tables import FORMATS, read_binary_table
 from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, Columns, RecordError, parse_columns
-from mr_damper_ros.io.tables import FORMATS, read_binary_table, read_text_table
+from mr_damper_ros.io.text_tables import NO_OPTIONS, Progress, TextOptions, read_text_table
 from mr_damper_ros.kinematics.window import turning_points
 from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.processes.files import irregularity
@@ -26,8 +27,17 @@ from mr_damper_ros.signals.recording import DEFAULT_START_NS, NotFiniteError, Re
 _JITTER_TO_MENTION = 0.01
 """Smallest deviation from uniform sampling, in periods, that a note mentions."""
 
+_SAME_PERIOD = 0.001
+"""Largest relative difference of two periods that are the same but for rounding."""
+
 _GAP = 1.5
 """A time step is a gap if it exceeds this multiple of the median step."""
+
+_SHORT = 0.25
+"""A step is short if it is shorter than the usual one by more than this fraction of it."""
+
+_FEW = 0.05
+"""Largest fraction of short steps in a record that is otherwise uniform."""
 
 _EPOCH = 1e9
 """Times above this value [s] are relative to 1970, smaller ones to the start of the record."""
@@ -50,7 +60,8 @@ class SampledRecord:
     """Columns (n,) of a file in SI units, by quantity.
 
     ``time`` [s] is the time column of the file, or starts at 0 with the given ``period`` [s].
-    ``place`` describes the location of a row in the file. The recordings receive ``details``.
+    ``place`` describes the location of a row in the file. ``blocks`` are the rows at which the file
+    begins a new block of samples. The recordings receive ``details``.
     """
 
     path: Path
@@ -58,6 +69,7 @@ class SampledRecord:
     values: dict[str, Array]
     period: float | None
     place: Callable[[int], str]
+    blocks: tuple[int, ...] = ()
     details: dict[str, str] = field(default_factory=dict)
 
     def part(self, rows: slice) -> SampledRecord:
@@ -68,6 +80,7 @@ class SampledRecord:
             time=self.time[rows],
             values={quantity: array[rows] for quantity, array in self.values.items()},
             place=lambda row: place(first + row),
+            blocks=tuple(row - first for row in self.blocks if first < row < rows.stop),
             details={**self.details, "part": f"rows {first + 1} to {rows.stop}"},
         )
 
@@ -143,11 +156,21 @@ class SampledRecord:
         Raises RecordError or RecordingError if the sampling is not uniform, or a value is not
         finite.
         """
+        if self.period is not None and self.blocks:
+            raise RecordError(
+                f"{self.path.name} holds {len(self.blocks) + 1} blocks of samples, the second from "
+                f"{self.place(self.blocks[0])} on, and no column holds the time: cut it into its "
+                "runs (mr-damper import --split)"
+            )
+        uniform = self._without_short_steps() if self.period is None else None
+        if uniform is not None:
+            return uniform.recording(current, name)
         velocity = self.values.get("velocity")
         if velocity is not None:
             self.check_finite("velocity", velocity)
         period, note = self._even_pace() if self.period is None else (self.period, "")
-        notes = [note] if note else []
+        notes = [self.details["note"]] if "note" in self.details else []
+        notes += [note] if note else []
         displacement = self.values.get("displacement")
         if displacement is None:
             assert velocity is not None
@@ -166,6 +189,40 @@ class SampledRecord:
         if velocity is not None and "displacement" in self.values:
             _check_velocity(recording, velocity)
         return recording
+
+    def _without_short_steps(self) -> SampledRecord | None:
+        """The record at uniform times, if a few steps are shorter than all others.
+
+        Test machines add a sample at the end of a segment. None if there is no such step, or if
+        the sampling is not uniform otherwise.
+        """
+        steps = np.diff(self.time)
+        if steps.size < 2 or np.any(steps <= 0.0):
+            return None
+        usual = float(np.median(steps))
+        short = steps < (1.0 - _SHORT) * usual
+        others = np.abs(steps[~short] - usual) > _SHORT * usual
+        if not 0 < np.count_nonzero(short) <= _FEW * steps.size + 1.0 or np.any(others):
+            return None
+        # Two steps around an additional sample make one.
+        whole = _plain(float(np.sum(steps[~short])), int(np.count_nonzero(~short)), 0.01 * usual)
+        time = np.arange(self.time[0], self.time[-1] + 1e-6 * whole, whole)
+        values = {}
+        for quantity, array in self.values.items():
+            self.check_finite(quantity, array)
+            if quantity == "current":
+                rows = np.searchsorted(self.time, time + 1e-6 * whole, side="right") - 1
+                values[quantity] = array[rows]
+            else:
+                values[quantity] = np.interp(time, self.time, array)
+        note = (
+            f"{np.count_nonzero(short)} of {steps.size} steps of the time are shorter than "
+            f"{whole:.6g} s: the samples were interpolated to uniform times"
+        )
+        notes = [*filter(None, [self.details.get("note")]), note]
+        return replace(
+            self, time=time, values=values, details={**self.details, "note": "; ".join(notes)}
+        )
 
     def _even_pace(self) -> tuple[float, str]:
         """Period [s] of uniform times, and a note if they jitter.
@@ -257,7 +314,9 @@ def read_record(
     variable: str | None = None,
     moving_average: int | None = None,
     begins_in_motion: bool = False,
+    decimal_mark: str | None = None,
     maximum_samples: int = MAXIMUM_SAMPLES,
+    progress: Progress | None = None,
 ) -> Recording:
     """Read a record file into a recording.
 
@@ -268,8 +327,9 @@ def read_record(
     ----------
     path
         Text, CSV, MAT, XLSX or TDMS file. The fields of a text file are separated by spaces, tabs,
-        semicolons or commas. Numbers may have decimal commas, unless commas separate the fields.
-        Any number of lines may precede the first row of numbers.
+        semicolons or commas. The numbers of the whole file show the decimal mark and thousands
+        separators; ambiguous ones are refused. Lines above the rows of numbers, between blocks of
+        them and below them are left out, and ``details["note"]`` names what could be samples.
     columns
         Quantity and unit of each column from the left.
 
@@ -292,8 +352,12 @@ def read_record(
     begins_in_motion
         Whether the averaged record begins in motion. The result is then approximate: it lacks the
         part that the average removed, which is small in a record of many cycles.
+    decimal_mark
+        Decimal mark of a text file, . or , if its numbers do not show it.
     maximum_samples
         Largest number of samples; a file with more is rejected.
+    progress
+        Receives the fraction of a text file that has been read, several times a second.
 
     Raises
     ------
@@ -308,7 +372,8 @@ def read_record(
             "the coil current is unknown: name its column (current:A), or give one for all samples"
         )
     _check_current(wanted, current)
-    record = _read_samples(path, wanted, period, variable, maximum_samples)
+    text = TextOptions(decimal_mark, progress)
+    record = _read_samples(path, wanted, period, variable, maximum_samples, text)
     if moving_average is not None:
         record = record.without_average(moving_average, begins_in_motion)
     return record.between(start, stop).recording(current)
@@ -320,6 +385,7 @@ def _read_samples(
     period: float | None,
     variable: str | None,
     maximum_samples: int,
+    text: TextOptions,
 ) -> SampledRecord:
     """The columns of a file in SI units. Raises the exceptions of :func:`read_record`."""
     path = Path(path)
@@ -332,8 +398,12 @@ def _read_samples(
         raise RecordError(f"{path} is {kind}: give a text, CSV, MAT, XLSX or TDMS file")
     if path.stat().st_size == 0:
         raise RecordError(f"{path.name} is empty: give a file with at least two rows of numbers")
-    read = read_binary_table if path.suffix.lower() in FORMATS else read_text_table
-    table = read(path, wanted, variable, maximum_samples)
+    if path.suffix.lower() in FORMATS:
+        if text.decimal_mark is not None:
+            raise RecordError(f"the decimal mark applies to text files: omit it for {path.name}")
+        table = read_binary_table(path, wanted, variable, maximum_samples)
+    else:
+        table = read_text_table(path, wanted, variable, maximum_samples, text)
     if "time" not in wanted.quantities and period is None:
         period = table.period
         if period is None:
@@ -346,11 +416,22 @@ def _read_samples(
     count = next(iter(values.values())).size
     if count < 2:
         raise RecordError(f"{path.name} holds one row of numbers: at least two are needed")
+    notes = list(table.notes)
+    if table.period is not None and period is not None and not _same(period, table.period):
+        notes.append(
+            f"{path.name} states a period of {table.period:.9g} s, but {period:.9g} s was given"
+        )
     details = {"provenance": f"imported from {path.name}", "columns": wanted.text}
+    if notes:
+        details["note"] = "; ".join(notes)
     time = values.pop("time") if period is None else np.arange(count, dtype=np.float64) * period
-    record = SampledRecord(path, time, values, period, table.place, details)
+    record = SampledRecord(path, time, values, period, table.place, table.breaks, details)
     record.check_finite("time", time)
     return record
+
+
+def _same(period: float, stated: float) -> bool:
+    return abs(period - stated) <= _SAME_PERIOD * stated
 
 
 def _check_current(wanted: Columns, current: float | None) -> None:
@@ -401,11 +482,14 @@ def read_runs(
     currents: float | Sequence[float | None] | None = None,
     period: float | None = None,
     variable: str | None = None,
+    decimal_mark: str | None = None,
     maximum_samples: int = MAXIMUM_SAMPLES,
+    progress: Progress | None = None,
 ) -> list[Recording]:
     """Read a file with several successive runs into one recording per run.
 
-    A run ends where the time jumps or restarts (the logger has paused), where the rod rests for at
+    A run ends where the time jumps or restarts (the logger has paused), where the file repeats its
+    headings and has no column of the time, where the rod rests for at
     least one second, where a measured current changes, and where a steady cycle changes its
     amplitude, frequency or force.
     ``currents`` [A] has one value per run, or is one number for all runs, if no column holds the
@@ -414,7 +498,8 @@ def read_runs(
     Raises the exceptions of :func:`read_record`. For a wrong number of currents, the message lists
     the runs.
     """
-    return RunsOfFile(path, columns, period, variable, maximum_samples).recordings(currents)
+    text = TextOptions(decimal_mark, progress)
+    return RunsOfFile(path, columns, period, variable, maximum_samples, text).recordings(currents)
 
 
 class RunsOfFile:
@@ -431,9 +516,10 @@ class RunsOfFile:
         period: float | None = None,
         variable: str | None = None,
         maximum_samples: int = MAXIMUM_SAMPLES,
+        text: TextOptions = NO_OPTIONS,
     ) -> None:
         self._wanted = wanted = parse_columns(columns)
-        self._record = _read_samples(path, wanted, period, variable, maximum_samples)
+        self._record = _read_samples(path, wanted, period, variable, maximum_samples, text)
         self._rows = _runs(self._record)
         self._name = Path(path).name
         self.asks = "current" not in wanted.quantities
@@ -470,6 +556,8 @@ def _runs(record: SampledRecord) -> list[slice]:
     """Rows of each run of a record, in order; parts without motion are not runs."""
     steps, usual = np.diff(record.time), _usual_step(record.time)
     jumps = np.flatnonzero((steps <= 0.0) | (steps > _GAP * usual)) + 1
+    if record.period is not None:
+        jumps = np.array(record.blocks, dtype=np.intp)
     length = max(round(_BLOCK / usual), 1)
     motions = [
         motion

@@ -9,7 +9,7 @@ length is chosen from the data. The residual of the sine fit decides between the
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -44,6 +44,9 @@ corrections of the frequency."""
 
 _LARGEST_STEP = 0.1
 """Largest relative correction of the frequency in one step."""
+
+_ROWS = 1 << 16
+"""Number of samples whose equations are in memory at a time, 64 bytes for each sample."""
 
 
 @dataclass(frozen=True)
@@ -87,23 +90,56 @@ def refined_sine(
     for step in range(1, (steps or MOST_ITERATIONS) + 1):
         angle = omega * time
         sine, cosine = np.sin(angle), np.cos(angle)
-        columns = np.column_stack((sine, cosine, np.ones(time.size)))
-        weights = np.linalg.lstsq(columns, values, rcond=None)[0]
-        by_frequency = time * (weights[0] * cosine - weights[1] * sine)
-        columns = np.column_stack((columns, by_frequency))
-        change = np.linalg.lstsq(columns, values - columns[:, :3] @ weights, rcond=None)[0]
+
+        def sine_equations(rows: slice, s: Array = sine, c: Array = cosine) -> tuple[Array, Array]:
+            part = s[rows], c[rows]
+            return np.column_stack((*part, np.ones(part[0].size))), values[rows]
+
+        weights = _least_squares(sine_equations, values.size)
+
+        def step_equations(rows: slice, w: Array = weights) -> tuple[Array, Array]:
+            columns, wanted = sine_equations(rows)
+            by_frequency = time[rows] * (w[0] * columns[:, 1] - w[1] * columns[:, 0])
+            return np.column_stack((columns, by_frequency)), wanted - columns @ w
+
+        change = _least_squares(step_equations, values.size)
         change *= min(1.0, _LARGEST_STEP * omega / max(abs(float(change[3])), 1e-300))
         correction = float(change[3]) / omega
         omega += float(change[3])
-        residual = values - columns @ (change + np.append(weights, 0.0))
+        squares = 0.0
+        for rows in _slices(values.size):
+            columns, remainder = step_equations(rows)
+            remainder = remainder - columns @ change
+            squares += float(remainder @ remainder)
         weights = weights + change[:3]
-        left = math.sqrt(float(residual @ residual) / residual.size)
+        left = math.sqrt(squares / values.size)
         if abs(correction) < 1e-13 or (
             step >= _TRIED and left > NO_SINE * math.hypot(weights[0], weights[1])
         ):
             break
     # With less than half a cycle, a sine, an offset and a ramp look alike.
     return omega, weights, left if omega * np.ptp(time) > 0.99 * math.pi else math.inf
+
+
+def _slices(count: int) -> list[slice]:
+    return [slice(first, first + _ROWS) for first in range(0, count, _ROWS)]
+
+
+def _least_squares(equations: Callable[[slice], tuple[Array, Array]], count: int) -> Array:
+    """Least-squares solution of ``count`` equations, which are given as columns and values of rows.
+
+    Of many equations, only the triangular factor is kept.
+    """
+    slices = _slices(count)
+    if len(slices) == 1:
+        return np.asarray(np.linalg.lstsq(*equations(slices[0]), rcond=None)[0])
+    factor: Array | None = None
+    for rows in slices:
+        block = np.column_stack(equations(rows))
+        stacked = block if factor is None else np.vstack((factor, block))
+        factor = np.asarray(np.linalg.qr(stacked, mode="r"))
+    assert factor is not None
+    return np.asarray(np.linalg.lstsq(factor[:, :-1], factor[:, -1], rcond=None)[0])
 
 
 def fit_sine(displacement: Array, period: float) -> Sine | None:
@@ -116,11 +152,13 @@ def fit_sine(displacement: Array, period: float) -> Sine | None:
     n = u.size
     if n < 8 or np.ptp(u) == 0.0:
         return None
-    # Zero padding refines the initial frequency to a fraction of a spectral line.
-    size = 1 << (8 * n - 1).bit_length()
+    # Zero padding refines the initial frequency to a fraction of a spectral line. A quarter of a
+    # line suffices, and of many samples the padded spectrum would be the largest array.
+    size = 1 << ((8 if n <= _ROWS else 2) * n - 1).bit_length()
     spectrum = np.abs(np.fft.rfft((u - u.mean()) * np.hanning(n), size))
     lowest = size // (2 * n)  # half a cycle
     start = float(np.argmax(spectrum[lowest:]) + lowest) / size
+    del spectrum
     # Time is counted from the middle, where frequency and phase are nearly uncorrelated.
     index: Array = np.arange(0.5 - 0.5 * n, 0.5 * n)
     omega, (sine, cosine, offset), left = refined_sine(index, u, 2.0 * np.pi * start)

@@ -410,7 +410,7 @@ class Window:
         motion, period = _cycle(sine, float(self.motion.peak_velocity[0]), _SAMPLES_PER_CYCLE)
         current = np.full(_SAMPLES_PER_CYCLE, self.current[0])
         time = places * self.period
-        branch = np.sign(sine.at(time).acceleration)
+        branch = -np.sign(np.sin(2.0 * np.pi * sine.frequency * time + sine.phase))
         places = time / period % _SAMPLES_PER_CYCLE
         return MotionHistory(motion, current, period, places, branch, periodic=True)
 

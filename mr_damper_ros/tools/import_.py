@@ -1,11 +1,17 @@
-"""Convert a text, CSV, MAT, XLSX or TDMS file to a bag."""
+"""Convert a text, CSV, MAT, XLSX or TDMS file to a bag.
+
+With nothing but a text file or a sheet, show its headings, units and first rows, and propose the
+command.
+"""
 
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,8 +20,12 @@ from mr_damper_ros.data_check.findings import NOTE, Finding, labelled
 from mr_damper_ros.data_check.recordings import usable_run
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.io.columns import UNITS, RecordError
+from mr_damper_ros.io.proposals import Proposal, propose_columns, unit_text
 from mr_damper_ros.io.records import RunsOfFile, read_record
+from mr_damper_ros.io.text_tables import TextOptions
 from mr_damper_ros.processes.exits import DOUBTFUL
+from mr_damper_ros.processes.files import irregularity
+from mr_damper_ros.report.status_line import StatusLine
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import add_arguments, add_path, arguments_of, program
@@ -41,7 +51,11 @@ examples:
 
 _OPTIONS = (
     *("columns", "current", "period", "start", "stop", "moving_average", "begins_in_motion"),
-    *("variable", "maximum_samples"),
+    *("variable", "decimal_mark", "maximum_samples"),
+)
+_BOTH = (
+    "give both the columns (--columns) and the bag (--output); without either, the program "
+    "proposes the command"
 )
 _FLAGS = {"start": "--from", "stop": "--to", "moving_average": "--undo-moving-average"}
 
@@ -49,8 +63,8 @@ _FLAGS = {"start": "--from", "stop": "--to", "moving_average": "--undo-moving-av
 def _options(parser: argparse.ArgumentParser) -> None:
     add_path(parser, "file", "FILE", "text, CSV, MAT, XLSX or TDMS file")
     where = "bag to write; with --split, folder of the bags, one for each run"
-    add_path(parser, "--output", "BAG", where, required=True)
-    add_arguments(parser, read_record, _OPTIONS, flags=_FLAGS)
+    add_path(parser, "--output", "BAG", where)
+    add_arguments(parser, read_record, _OPTIONS, flags=_FLAGS, without_default=("columns",))
     parser.add_argument(
         "--split",
         action="store_true",
@@ -68,14 +82,131 @@ def _options(parser: argparse.ArgumentParser) -> None:
 
 
 def _import(options: argparse.Namespace) -> int:
+    if options.columns is None and options.output is None:
+        return _propose(options)
+    if options.columns is None or options.output is None:
+        raise RecordError(_BOTH)
     if options.begins_in_motion and options.moving_average is None:
         raise RecordError("--begins-in-motion also needs --undo-moving-average")
     if options.split:
         return _import_runs(options)
     if options.currents is not None:
         raise RecordError("--currents needs --split: give --current for a single run")
-    recording = read_record(options.file, **arguments_of(options, read_record))
+    with StatusLine() as line:
+        recording = read_record(
+            options.file,
+            **arguments_of(options, read_record),
+            progress=_shown(line, f"reading {options.file.name}"),
+        )
     return _write({options.output: recording}, options)
+
+
+_CARRIED = ("current", "period", "variable", "decimal_mark")
+"""Options that a proposed command takes over."""
+
+
+def _propose(options: argparse.Namespace) -> int:
+    """Show what a file holds, and print the command that imports it."""
+    path: Path = options.file
+    others = (options.start, options.stop, options.moving_average, options.currents)
+    if options.split or any(other is not None for other in others):
+        raise RecordError(_BOTH)
+    if kind := irregularity(path):
+        raise RecordError(f"{path} is {kind}: give a text, CSV, MAT, XLSX or TDMS file")
+    given = {name: getattr(options, name) for name in _CARRIED}
+    given = {name: value for name, value in given.items() if value is not None}
+    proposal = propose_columns(path, options.variable, "period" in given)
+    print("\n".join(_outline(path, proposal)))
+    for remark in proposal.remarks:
+        print(f"note: {remark}")
+    if not proposal.usable:
+        raise RecordError(
+            f"no command can be proposed for {path.name}: {'; '.join(proposal.missing)} "
+            "(--columns, see mr-damper import --help)"
+        )
+    unknown = "current" not in proposal.quantities and "current" not in given
+    if unknown:
+        given["current"] = 0.0
+    reason, split = "; ".join(proposal.missing), False
+    if not reason:
+        reason, split = _tried(path, proposal, given)
+    command = ["mr-damper", "import", str(path), "--columns", proposal.columns]
+    for name, value in given.items():
+        command += [
+            f"--{name.replace('_', '-')}",
+            str(value) if name != "current" else f"{value:g}",
+        ]
+    command += ["--split"] if split else []
+    command += ["--output", str(Path("bags", path.stem))]
+    print(f"the command{', to be completed' if reason else ''}:\n\n  {shlex.join(command)}\n")
+    if reason:
+        raise RecordError(f"{path.name} cannot be imported as it stands: {reason}")
+    if unknown:
+        print(
+            "The file does not hold the coil current: replace the 0 of --current by the current "
+            "[A] of the run (--currents: of each run)."
+        )
+    print("Extension and tension are positive: a factor of -1, such as force:-1*N, turns a sign.")
+    return 0
+
+
+def _tried(path: Path, proposal: Proposal, given: dict[str, Any]) -> tuple[str, bool]:
+    """Why the file cannot be read with the proposed columns, and whether it must be split."""
+    try:
+        read_record(path, proposal.columns, **given)
+    except ValueError as error:
+        single = str(error)
+    else:
+        return "", False
+    try:
+        runs = RunsOfFile(
+            path,
+            proposal.columns,
+            given.get("period"),
+            given.get("variable"),
+            text=TextOptions(given.get("decimal_mark")),
+        )
+        runs.recordings(given.get("current"))
+    except ValueError as error:
+        return (str(error) if "--split" in single else single), False
+    print(f"{path.name} holds {len(runs.summaries)} runs:")
+    print("\n".join(f"  {number}: {text}" for number, text in enumerate(runs.summaries, start=1)))
+    return "", True
+
+
+_SHOWN_ROWS = 3
+"""Number of rows in the overview of a file."""
+
+_SEPARATORS = {"": "spaces", "\t": "tabs", ",": "commas", ";": "semicolons"}
+
+
+def _outline(path: Path, proposal: Proposal) -> list[str]:
+    """An overview of a file: its columns with headings, units and first numbers."""
+    outline = proposal.outline
+    lines = [
+        f"{path.name}: {outline.layout.name}; numbers from line {outline.first_line} on, columns "
+        f"separated by {_SEPARATORS.get(outline.separator, outline.separator)}"
+    ]
+    rows = [fields for _, fields in outline.sample[:_SHOWN_ROWS]]
+    table = [
+        [
+            f"{p + 1}",
+            outline.heading(p),
+            unit_text(outline.unit(p)),
+            *(_cell(row, p) for row in rows),
+        ]
+        for p in range(outline.width)
+    ]
+    table.insert(0, ["column", "heading", "unit", "first rows"])
+    widths = [max(len(row[k]) for row in table if k < len(row)) for k in range(len(table[-1]))]
+    for row in table:
+        cells = (text.ljust(width) for text, width in zip(row, widths, strict=False))
+        lines.append("  " + "  ".join(cells).rstrip())
+    return lines
+
+
+def _cell(row: list[str], place: int) -> str:
+    return row[place] if place < len(row) else ""
 
 
 def _import_runs(options: argparse.Namespace) -> int:
@@ -83,9 +214,16 @@ def _import_runs(options: argparse.Namespace) -> int:
         raise RecordError("--from and --to apply to a single run: omit them, or omit --split")
     if options.moving_average is not None:
         raise RecordError("--undo-moving-average applies to a single run: omit it, or omit --split")
-    runs = RunsOfFile(
-        options.file, options.columns, options.period, options.variable, options.maximum_samples
-    )
+    with StatusLine() as line:
+        text = TextOptions(options.decimal_mark, _shown(line, f"reading {options.file.name}"))
+        runs = RunsOfFile(
+            options.file,
+            options.columns,
+            options.period,
+            options.variable,
+            options.maximum_samples,
+            text,
+        )
     print(f"{options.file.name} holds {len(runs.summaries)} runs:")
     print("\n".join(f"  {number}: {text}" for number, text in enumerate(runs.summaries, start=1)))
     recordings = runs.recordings(_currents(options, runs))
@@ -118,15 +256,23 @@ def _write(recordings: Mapping[Path, Recording], options: argparse.Namespace) ->
     """Check the recordings, and write each to its bag if none is refused."""
     accept, findings = options.accept_doubtful, list[Finding]()
     for recording in recordings.values():
+        print(_summary(recording))
         checked = usable_run(recording.name, [recording], accept_doubtful=accept)
         findings += checked.findings
-        print(_summary(recording))
-        print("\n".join(map(labelled, checked.findings)))
+        for finding in checked.findings:
+            print(labelled(finding))
     for place, recording in recordings.items():
-        write_bag(place, recording, overwrite=options.overwrite)
+        with StatusLine() as line:
+            progress = _shown(line, f"writing {place.name}")
+            write_bag(place, recording, overwrite=options.overwrite, progress=progress)
         print(f"written to {place}")
     doubtful = any(finding.severity > NOTE for finding in findings) and not accept
     return DOUBTFUL if doubtful else 0
+
+
+def _shown(line: StatusLine, what: str) -> Callable[[float], None]:
+    """Show a fraction on the status line."""
+    return lambda fraction: line.show(f"{what}: {fraction:.0%}")
 
 
 def _summary(recording: Recording) -> str:

@@ -29,6 +29,18 @@ def relative(estimate: Array, truth: Array) -> float:
 # -- sine ------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("cycles", [0.7, 3.3, 1000.37])
+def test_a_sine_of_more_samples_than_are_solved_at_once_is_fitted_as_exactly(cycles: float) -> None:
+    count = 150_000
+    phase = 2.0 * np.pi * cycles * np.arange(count) / count
+    fit = fit_sine(0.02 + 5e-3 * np.sin(phase + 1.0), PERIOD)
+    assert fit is not None
+    assert fit.amplitude == pytest.approx(5e-3, rel=EXACT)
+    assert fit.frequency == pytest.approx(cycles / (count * PERIOD), rel=EXACT)
+    assert fit.phase == pytest.approx(1.0, abs=1e-8)
+    assert fit.residual_rms < 1e-12
+
+
 @known.fixed(60)
 @given(
     cycles=st.floats(0.6, 20.0),

@@ -12,10 +12,11 @@ import pool_tasks
 import pytest
 from scipy.io import savemat
 
-from mr_damper_ros.io import tables
+from mr_damper_ros.io import binary_tables
+from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, RecordError, parse_columns
 from mr_damper_ros.io.records import read_record
-from mr_damper_ros.io.tables import read_text_table
+from mr_damper_ros.io.text_tables import read_text_table
 from mr_damper_ros.signals.arrays import Array
 
 TEXT_COLUMNS = "time:s,displacement:mm,force:N"
@@ -39,6 +40,19 @@ def test_memory_is_that_of_the_numbers(tmp_path: Path) -> None:
     # Three numbers of eight bytes, twice, because the parts are joined at the end; and 12 MB to
     # parse fifty thousand lines at a time.
     assert peak < 60 * rows + 12_000_000
+
+
+def test_the_progress_is_that_of_the_file(tmp_path: Path) -> None:
+    path = text_file(tmp_path / "run.csv", 50_000)
+    seen: list[float] = []
+    run = read_record(path, TEXT_COLUMNS, current=0.5, progress=seen.append)
+    assert seen == sorted(seen)
+    assert len(seen) > 2
+    assert seen[-1] == 1.0
+    seen.clear()
+    write_bag(tmp_path / "bag", run, progress=seen.append)
+    assert seen == sorted(seen)
+    assert seen[-1] == 1.0
 
 
 def test_a_file_with_more_samples_than_allowed_is_refused(tmp_path: Path) -> None:
@@ -66,7 +80,7 @@ def test_an_interrupt_within_a_date_ends_the_reading(
             raise KeyboardInterrupt
         return 1.0
 
-    monkeypatch.setattr("mr_damper_ros.io.tables.seconds_since_1970", date)
+    monkeypatch.setattr("mr_damper_ros.io.text_tables.seconds_since_1970", date)
     columns = parse_columns("time:datetime,displacement:mm,force:N")
     with pytest.raises(KeyboardInterrupt):
         read_text_table(text_file(tmp_path / "run.csv", 10), columns, None, 10)
@@ -110,7 +124,7 @@ COLUMNS = parse_columns("time:s,displacement:m,force:N")
 
 
 def matrix(path: Path, maximum_samples: int = MAXIMUM_SAMPLES) -> Array:
-    values = tables.read_binary_table(path, COLUMNS, None, maximum_samples).values
+    values = binary_tables.read_binary_table(path, COLUMNS, None, maximum_samples).values
     return np.column_stack([values[name] for name in ("time", "displacement", "force")])
 
 
@@ -129,7 +143,7 @@ def test_a_matrix_comes_as_it_was_saved(tmp_path: Path, kind: type) -> None:
 def test_a_reader_that_is_killed_is_one_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tables, "_read", pool_tasks.crash)
+    monkeypatch.setattr(binary_tables, "_read", pool_tasks.crash)
     with pytest.raises(RecordError) as caught:
         matrix(written(tmp_path / "run.mat", {"data": MATRIX}))
     assert str(caught.value) == UNREADABLE
@@ -139,8 +153,8 @@ def test_reading_is_cut_after_a_time_that_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Loading SciPy alone takes longer.
-    hasty = replace(tables.FORMATS[".mat"], time_limit=0.001)
-    monkeypatch.setitem(tables.FORMATS, ".mat", hasty)
+    hasty = replace(binary_tables.FORMATS[".mat"], time_limit=0.001)
+    monkeypatch.setitem(binary_tables.FORMATS, ".mat", hasty)
     with pytest.raises(RecordError, match=r"could not be read within 0\.001 s"):
         matrix(written(tmp_path / "run.mat", {"data": MATRIX}))
 
