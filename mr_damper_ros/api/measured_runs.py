@@ -34,7 +34,7 @@ RunArrays = tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None, float | 
 
 _LARGEST_MASS = 1e6
 _RECORD_ENDINGS = frozenset(
-    {".txt", ".csv", ".tsv", ".dat", ".asc", ".mat", ".xlsx", ".xlsm", ".tdms"}
+    {".txt", ".csv", ".tsv", ".dat", ".asc", ".mat", ".xlsx", ".xlsm", ".tdms", ".mf4"}
 )
 _LIMITS = Screening(minimum_amplitude=1e-6, current_tolerance=2.0 * LARGEST_CURRENT)
 
