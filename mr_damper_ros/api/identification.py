@@ -33,7 +33,11 @@ from mr_damper_ros.api.measured_runs import (
     without_inertia,
 )
 from mr_damper_ros.estimation.covariance import least_squares_covariance, noise_level
-from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, Report
+from mr_damper_ros.estimation.differential_evolution import (
+    EvolutionSettings,
+    GlobalProgress,
+    Report,
+)
 from mr_damper_ros.estimation.experiment_design import MachineLimits
 from mr_damper_ros.estimation.global_fit import GlobalFit
 from mr_damper_ros.estimation.law_choice import LawChoice, cross_validate
@@ -420,6 +424,7 @@ def identify(
             (displacement, force, current, period),
             accept_doubtful=accept_doubtful,
             processes=processes,
+            tell=None if report is None else partial(_tell, report),
         )
         measured = without_inertia(measured, 0.0 if fit_mass else mass)
         if start_values is None:
@@ -501,6 +506,10 @@ def identify_measured(
         remarks=(*remarks, *slopes),
         profiles=profiles,
     )
+
+
+def _tell(report: Report, words: str) -> None:
+    report(GlobalProgress(words, 0, 0, math.nan, math.nan))
 
 
 def _stopped_choice(choice: LawChoice) -> str:
@@ -702,6 +711,7 @@ def choose_law(
             (displacement, force, current, period),
             accept_doubtful=accept_doubtful,
             processes=processes,
+            tell=None if report is None else partial(_tell, report),
         )
         return cross_validate(
             [run.windows for run in measured],

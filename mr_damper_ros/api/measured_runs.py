@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -66,9 +66,11 @@ def run_name(source: object) -> str:
 
 
 def measured_run(
-    source: str | os.PathLike[str] | Recording, accept_doubtful: bool = False
+    source: str | os.PathLike[str] | Recording,
+    accept_doubtful: bool = False,
+    notify: Notify | None = None,
 ) -> MeasuredRun:
-    """A run from a bag or a recording.
+    """A run from a bag or a recording; ``notify`` receives the progress in words.
 
     Raises ValueError if the run cannot be used. With ``accept_doubtful``, a problem becomes a
     remark instead, unless the displacement or the force is constant.
@@ -78,7 +80,7 @@ def measured_run(
     if isinstance(source, Recording):
         recordings = (source,)
     elif isinstance(source, (str, os.PathLike)):
-        recordings = tuple(_recordings(Path(source)))
+        recordings = tuple(_recordings(Path(source), notify))
     else:
         raise ValueError(
             f"a run cannot be of type {type(source).__name__}: give the path of a bag or a "
@@ -122,10 +124,12 @@ def measured_runs(
     *,
     accept_doubtful: bool = False,
     processes: ProcessPool | None = None,
+    tell: Callable[[str], object] | None = None,
 ) -> tuple[MeasuredRun, ...]:
     """All runs in the given order, followed by the run of the ``arrays``, if given.
 
-    Raises ValueError if there is no run, or one cannot be used.
+    ``tell`` receives the progress in words. Raises ValueError if there is no run, or one cannot be
+    used.
     """
     flat = flat_runs(sources)
     if any(given is not None for given in arrays):
@@ -136,7 +140,13 @@ def measured_runs(
             "and period"
         )
     tasks = [(source, accept_doubtful) for source in flat]
-    found = (processes or ProcessPool()).map(_task, tasks)
+
+    def listen(number: int, words: str) -> bool:
+        if tell is not None:
+            tell(f"run {number + 1} of {len(flat)}, {words}" if len(flat) > 1 else words)
+        return True
+
+    found = (processes or ProcessPool()).map(_task, tasks, listen)
     return tuple(run for run in found if run is not None)
 
 
@@ -166,7 +176,7 @@ def all_windows(runs: Sequence[MeasuredRun]) -> list[Window]:
 
 
 def _task(task: tuple[str | Recording, bool], notify: Notify) -> MeasuredRun:
-    return measured_run(*task)
+    return measured_run(*task, notify)
 
 
 def flat_runs(sources: Iterable[RunSource]) -> list[Any]:
@@ -181,7 +191,7 @@ def flat_runs(sources: Iterable[RunSource]) -> list[Any]:
     return flat
 
 
-def _recordings(path: Path) -> list[Recording]:
+def _recordings(path: Path, notify: Notify | None) -> list[Recording]:
     if path.suffix.lower() in _RECORD_ENDINGS and path.is_file():
         raise ValueError(
             f"{path} is not a bag: describe its columns and units to read_record in Python, or "
@@ -189,7 +199,16 @@ def _recordings(path: Path) -> list[Recording]:
         )
     from mr_damper_ros.io.bag_reader import read_bag  # imported here, because only bags need it
 
-    return read_bag(path)
+    told = -1
+
+    def progress(fraction: float) -> None:
+        nonlocal told
+        percent = int(100.0 * fraction)
+        if notify is not None and percent != told:
+            told = percent
+            notify(f"reading {path.name}: {percent} %")
+
+    return read_bag(path, progress=progress)
 
 
 def _from_arrays(arrays: RunArrays) -> Recording:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mr_damper_ros.io.bag_files import BagError
-from mr_damper_ros.io.bag_messages import Samples
+from mr_damper_ros.io.bag_messages import Reading, Samples
 from mr_damper_ros.signals.arrays import Array, usable
 from mr_damper_ros.signals.blocks import LATE_NS, NANOSECONDS, BlockError, SampleBlock
 
@@ -37,6 +37,19 @@ def block_of(message: Samples, bag: str, topic: str) -> SampleBlock:
             f"the bag '{bag}' cannot be used: in the block on {topic} that "
             f"starts at sample {message.seq}, {error}"
         ) from error
+
+
+class Readings:
+    """All readings of the current in a bag, in compact form: recording times, stamps, values."""
+
+    def __init__(self) -> None:
+        self.times, self.stamps, self.values = array("q"), array("q"), array("d")
+
+    def add(self, time_ns: int, message: Reading) -> None:
+        """Add a reading with its recording time [ns]."""
+        self.times.append(time_ns)
+        self.stamps.append(message.stamp_ns)
+        self.values.append(message.value)
 
 
 class Blocks:
@@ -96,7 +109,8 @@ class Blocks:
             if not whole:
                 order = self._once(order, sequence, ends, offsets, displacement, force)
             seq, count, period = sequence[order], counts[order], periods[order]
-            stamps = self._stamped(np.array(self._stamps)[order], seq, count, period)
+            stamps, times = (np.array(each)[order] for each in (self._stamps, self._times))
+            stamps = self._stamped(stamps, times, seq, count, period)
             runs = _runs(stamps, seq, count, period)
             for first, last in zip(runs[:-1].tolist(), runs[1:].tolist(), strict=True):
                 places = order[first:last]
@@ -113,26 +127,28 @@ class Blocks:
                     ),
                 )
 
-    def on_the_clock_of_samples(
-        self, readings: list[tuple[int, int, float]]
-    ) -> list[tuple[int, float]]:
-        """Stamp [ns] and current of readings with recording time [ns], stamp [ns] and current.
+    def on_the_clock_of_samples(self, readings: Readings) -> Iterator[tuple[int, float]]:
+        """Stamp [ns] and value of the readings.
 
-        Unless the stamps of the samples are unknown, too, a reading without stamp, whose clock had
-        not come, gets the stamp of samples that were recorded at the same time.
+        A reading without stamp, whose clock had not come, gets the stamp of samples that were
+        recorded at the same time.
         """
-        unknown = sum(stamp == 0 for _, stamp, _ in readings)
-        known = [s - t for s, t in zip(self._stamps, self._times, strict=True) if s]
-        if not unknown or not known or len({value for _, _, value in readings}) == 1:
-            return [(stamp, value) for _, stamp, value in readings]
-        ahead = round(float(np.median(np.array(known, dtype=np.float64))))
-        stamped = [(stamp or time + ahead, value) for time, stamp, value in readings]
+        own, stamps, values = (
+            np.array(each) for each in (self._stamps, readings.stamps, readings.values)
+        )
+        unknown = stamps == 0
         # A simulated clock may begin with a true zero.
-        if unknown > 1:
-            self.notes.append(
-                f"{unknown} readings of the current have no stamp: their recording times were used"
+        if np.count_nonzero(unknown) > 1 and np.ptp(values) != 0.0:
+            known = own != 0
+            ahead = (
+                round(float(np.median((own - np.array(self._times))[known]))) if any(known) else 0
             )
-        return stamped if unknown > 1 else [(stamp, value) for _, stamp, value in readings]
+            stamps[unknown] = np.array(readings.times)[unknown] + ahead
+            self.notes.append(
+                f"{np.count_nonzero(unknown)} readings of the current have no stamp: their "
+                "recording times were used"
+            )
+        return zip(stamps.tolist(), values.tolist(), strict=True)
 
     # ---- order
 
@@ -203,17 +219,19 @@ class Blocks:
     def _stamped(
         self,
         stamps: NDArray[np.int64],
+        times: NDArray[np.int64],
         sequence: NDArray[np.int64],
         counts: NDArray[np.int64],
         periods: Array,
     ) -> NDArray[np.int64]:
         """Stamps (m,) [ns] of blocks in order, where wrong or unknown ones follow from the number.
 
-        A stamp of zero is unknown, because a simulated clock had not come. Stamps of few blocks
-        that contradict the numbers are wrong if those before and after them agree.
+        A stamp of zero is unknown, because a simulated clock had not come. Without any stamp, the
+        recording times (m,) [ns] tell the beginning. Stamps of few blocks that contradict the
+        numbers are wrong if those before and after them agree.
         """
         known = stamps != 0
-        reference = int(stamps[np.argmax(known)])
+        reference = int(stamps[np.argmax(known)]) or int(times[0])
         # The time of sample 0 by each block, relative to the first known one.
         since = (sequence - sequence[0]) * periods * NANOSECONDS
         start = (stamps - reference) - since
@@ -228,7 +246,9 @@ class Blocks:
                 )
                 expected = start[places[nearest]]
             else:
-                expected = np.zeros(stamps.size)
+                # A block is recorded at its end.
+                late = (times - reference) - since - counts * periods * NANOSECONDS
+                expected = np.full(stamps.size, float(np.median(late)))
             unknown = ~known & (np.abs(start - expected) > allowed)
             start[unknown] = expected[unknown]
             changed |= unknown

@@ -57,6 +57,9 @@ class DamageError(ValueError):
 _NO_SPAN = 2**63, 0
 """First and last recording time [ns] of no messages."""
 
+Progress = Callable[[float], None]
+"""Receives the fraction of the work that is done."""
+
 Message = tuple[int, int, bytes]
 """Recording time [ns], channel in its file, and serialised message."""
 
@@ -121,13 +124,15 @@ class _Piece:
 class McapFile:
     """An MCAP file, checked as a whole: its checksums, and the sizes of its chunks.
 
-    ``most`` is the largest size [B] of its unpacked messages (None: no limit). Raises DamageError,
-    and OverflowError if the messages are larger.
+    ``most`` is the largest size [B] of its unpacked messages (None: no limit). ``progress``
+    receives the fraction that has been checked. Raises DamageError, and OverflowError if the
+    messages are larger.
     """
 
-    def __init__(self, path: Path, most: int | None) -> None:
+    def __init__(self, path: Path, most: int | None, progress: Progress | None = None) -> None:
         self.channels: dict[int, _Channel] = {}
         self.span_ns = _NO_SPAN
+        self._progress = progress
         self._schemas: dict[int, tuple[str, MessageDefinition]] = {}
         self._pieces: list[_Piece] = []
         self._in_order = True
@@ -196,6 +201,8 @@ class McapFile:
             elif kind == _FOOTER:
                 summary, _, summary_checksum = struct.unpack_from("<QQI", data)
                 break
+            if self._progress is not None and kind == _CHUNK:
+                self._progress(offset / size)
             if not ended:
                 checksum = crc32(data, crc32(head, checksum))
                 self._take(kind, data, offset)
@@ -241,8 +248,8 @@ class McapFile:
 
     def _count(self, data: bytes, start: int, piece: _Piece) -> None:
         channel, _, time_ns, _ = _STAMPS.unpack_from(data, start)
-        if channel not in self.channels:
-            raise DamageError("a message has no channel")
+        if channel not in self.channels or time_ns >= 2**63:
+            raise DamageError("a message has no channel, or an impossible time")
         self.channels[channel].messages += 1
         first, last = self.span_ns
         self._in_order = self._in_order and time_ns >= last
@@ -488,11 +495,13 @@ class BagFiles:
     """An open bag: a folder, or one of its files.
 
     ``connections`` are its topics, ``custom`` its own data in metadata.yaml, and ``notes`` say what
-    is missing. Raises BagError if the bag is damaged, or its messages have more than ``most`` bytes
-    (None: no limit).
+    is missing. ``progress`` receives the fraction of the files that has been checked. Raises
+    BagError if the bag is damaged, or its messages have more than ``most`` bytes (None: no limit).
     """
 
-    def __init__(self, path: Path, most: int | None = None) -> None:
+    def __init__(
+        self, path: Path, most: int | None = None, progress: Progress | None = None
+    ) -> None:
         self.name = Path(os.path.abspath(path)).name
         for ending in _ENDINGS:
             self.name = self.name.removesuffix(ending)
@@ -500,13 +509,21 @@ class BagFiles:
         self.custom: dict[str, str] = {}
         self.connections: list[Connection] = []
         self._stated: dict[str, int] = {}
+        self._digests: dict[tuple[str, str], str] = {}
         self._compression = ""
         self._most = most
         self._files: list[tuple[Path, McapFile | SqliteFile]] = []
         self._stack = ExitStack()
         try:
-            for file in self._find(path):
-                self._open(file)
+            files = self._find(path)
+            for number, file in enumerate(files):
+
+                def checked(fraction: float, number: int = number) -> None:
+                    if progress is not None:
+                        progress((number + fraction) / len(files))
+
+                checked(0.0)
+                self._open(file, checked)
             self._join()
         except BaseException:
             self.close()
@@ -645,8 +662,10 @@ class BagFiles:
             version = int(found["version"])
             names = [PurePath(name).name for name in found["relative_file_paths"]]
             for each in found["topics_with_message_count"]:
-                topic = each["topic_metadata"]["name"]
+                topic, described = each["topic_metadata"]["name"], each["topic_metadata"]
                 self._stated[topic] = self._stated.get(topic, 0) + int(each["message_count"])
+                digest = str(described.get("type_description_hash") or "")
+                self._digests[topic, described["type"]] = digest
             self._compression = str(found.get("compression_mode") or "").lower()
             packing = str(found.get("compression_format") or "")
             custom = found.get("custom_data") or {}
@@ -675,7 +694,7 @@ class BagFiles:
             )
         return names
 
-    def _open(self, path: Path) -> None:
+    def _open(self, path: Path, progress: Progress) -> None:
         kind = irregularity(path)
         if kind:
             raise BagError(f"the bag '{self.name}' cannot be read: {path.name} is {kind}")
@@ -690,7 +709,7 @@ class BagFiles:
         with damage_in_words(self.name, path):
             if path.suffix == ".mcap":
                 try:
-                    file = McapFile(path, self._most)
+                    file = McapFile(path, self._most, progress)
                 except OverflowError:
                     raise self._too_large() from None
             else:
@@ -740,7 +759,7 @@ class BagFiles:
                 channel.topic,
                 channel.kind,
                 channel.definition,
-                channel.digest,
+                channel.digest or self._digests.get(key, ""),
                 counts[key],
                 channel.ext,
                 self,

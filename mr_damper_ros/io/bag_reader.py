@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.io.bag_blocks import Blocks, block_of
-from mr_damper_ros.io.bag_files import METADATA, BagError, BagFiles, DamageError, is_bag
+from mr_damper_ros.io.bag_blocks import Blocks, Readings, block_of
+from mr_damper_ros.io.bag_files import METADATA, BagError, BagFiles, DamageError, Progress, is_bag
 from mr_damper_ros.io.bag_messages import CURRENT, SAMPLES, TEMPERATURE, decoder
 from mr_damper_ros.io.columns import MAXIMUM_SAMPLES
 from mr_damper_ros.signals.arrays import Array
@@ -42,6 +42,13 @@ _SAMPLES, _CURRENT = (TOPICS[kind][0] for kind in (SampleBlock, CurrentReading))
 
 _BYTES_PER_SAMPLE = 100
 """Size [B] of a message with a single sample; blocks need less per sample."""
+
+
+_CHECKING = 0.3
+"""Part of the reading time that the check of the files takes."""
+
+_BETWEEN_REPORTS = 1000
+"""Number of messages between two reports of the progress."""
 
 
 class OpenBag:
@@ -107,9 +114,11 @@ class OpenBag:
 
 @contextmanager
 def opened_bag(
-    path: str | Path, maximum_samples: int | None = MAXIMUM_SAMPLES
+    path: str | Path,
+    maximum_samples: int | None = MAXIMUM_SAMPLES,
+    progress: Progress | None = None,
 ) -> Iterator[OpenBag]:
-    """Open the folder of a bag or its single file.
+    """Open the folder of a bag or its single file; ``progress`` receives the checked fraction.
 
     Raises BagError if the bag is missing, damaged, empty, or larger than ``maximum_samples`` need
     (None: no limit).
@@ -122,13 +131,19 @@ def opened_bag(
             f"{path} is not a bag: give the folder that holds {METADATA}, or its .mcap or .db3 "
             "file; mr-damper import makes a bag from a text, CSV or MAT file"
         )
-    with BagFiles(path, _BYTES_PER_SAMPLE * maximum_samples if maximum_samples else None) as files:
+    most = _BYTES_PER_SAMPLE * maximum_samples if maximum_samples else None
+    with BagFiles(path, most, progress) as files:
         if files.message_count == 0:
             raise BagError(f"the bag '{files.name}' holds no messages")
         yield OpenBag(files)
 
 
-def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> list[Recording]:
+def read_bag(
+    path: str | Path,
+    *,
+    maximum_samples: int = MAXIMUM_SAMPLES,
+    progress: Progress | None = None,
+) -> list[Recording]:
     """Read the recordings in a bag, which is a folder or a single ``.mcap`` or ``.db3`` file.
 
     A new recording starts where samples are missing for more than 0.05 s, stamps jump back, or the
@@ -136,28 +151,38 @@ def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> lis
     in any namespace: ``/rig1/mts/samples`` matches ``/mts/samples``. The current holds from each
     stamp to the next, and samples before its first stamp are omitted. The temperature is
     interpolated, if the bag has it. ``details["note"]`` says what is missing in the bag.
+    ``progress`` receives the fraction that has been read.
 
     Raises BagError if the bag is damaged, has more than ``maximum_samples``, or lacks a stream.
     """
-    with opened_bag(path, maximum_samples) as bag:
+
+    def checked(fraction: float) -> None:
+        if progress is not None:
+            progress(_CHECKING * fraction)
+
+    with opened_bag(path, maximum_samples, checked) as bag:
         samples, current, temperature = _topics(bag)
         blocks = Blocks(bag.name, samples)
-        readings: list[tuple[int, int, float]] = []
+        readings = Readings()
         celsius: list[TemperatureReading] = []
-        for topic, time_ns, message in bag.decoded({samples, current, temperature} - {""}):
+        topics = {samples, current, temperature} - {""}
+        total = sum(each.msgcount for each in bag.files.connections if each.topic in topics)
+        for number, (topic, time_ns, message) in enumerate(bag.decoded(topics)):
+            if progress is not None and number % _BETWEEN_REPORTS == 0:
+                progress(_CHECKING + (1.0 - _CHECKING) * number / total)
             if topic == samples:
                 blocks.add(time_ns, message)
                 if blocks.sample_count > maximum_samples:
                     raise _too_large(bag)
             elif topic == current:
-                readings.append((time_ns, *message))
+                readings.add(time_ns, message)
             else:
                 celsius.append(TemperatureReading(*message))
-        notes = [*bag.files.notes, *bag.files.lacking({samples, current, temperature})]
+        notes = [*bag.files.notes, *bag.files.lacking(topics)]
         name, details = bag.details.pop("name", bag.name), dict(bag.details)
     if not blocks.sample_count:
         raise BagError(f"the bag '{bag.name}' holds no samples: the topic {_SAMPLES} is empty")
-    if not readings:
+    if not readings.stamps:
         raise BagError(
             f"the bag '{bag.name}' holds no current: the topic {_CURRENT} is empty; "
             "record at least one message of the supply's current"
@@ -268,8 +293,10 @@ def _assemble(
     details: dict[str, str],
 ) -> Recording | None:
     """Recording of consecutive blocks; None if their current is unknown throughout."""
-    displacement = np.concatenate([block.displacement for block in blocks])
-    force = np.concatenate([block.force for block in blocks])
+    displacement, force = (
+        rows[0] if len(rows) == 1 else np.concatenate(rows)
+        for rows in zip(*((block.displacement, block.force) for block in blocks), strict=True)
+    )
     start_ns, period = blocks[0].start_ns, blocks[0].period
     known_ns, _ = current.around(start_ns)
     # Because of the tolerance, no sample is lost by rounding of the stamps to nanoseconds.

@@ -13,6 +13,7 @@ from bag_contents import messages
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
+from mr_damper_ros.api.measured_runs import measured_runs
 from mr_damper_ros.io.bag_files import BagError
 from mr_damper_ros.io.bag_messages import decoded_samples, known_types
 from mr_damper_ros.io.bag_reader import bag_stream, read_bag
@@ -488,6 +489,20 @@ def test_a_current_without_stamps_follows_the_times_of_recording(tmp_path: Path)
     assert "readings of the current have no stamp: their recording times were used" in note
 
 
+def test_a_bag_without_any_stamp_follows_the_times_of_recording(tmp_path: Path) -> None:
+    rig = Rig()
+    for place in range(len(rig.blocks)):
+        rig.stamped(place, 0)
+    rig.currents = [(0, value) for _, value in rig.currents]
+    (read,) = read_bag(rig.write(tmp_path / "bag"))
+    np.testing.assert_array_equal(read.force, RUN.force[-read.sample_count :])
+    # The recording times of blocks and currents differ by up to a block.
+    steps = np.flatnonzero(np.diff(read.current)) + COUNT - read.sample_count
+    assert abs(steps.item() - 350) <= BLOCK
+    assert read.sample_count >= COUNT - BLOCK
+    assert "70 blocks have no stamp" in read.details["note"]
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_stamps_of_few_blocks_that_contradict_the_numbers_are_not_believed(
     tmp_path: Path, seed: int
@@ -527,3 +542,15 @@ def test_a_record_that_is_too_short_is_damage(run: Path) -> None:
     mark = b"\x89MCAP0\r\n"
     file.write_bytes(mark + struct.pack("<BQ", 6, 3) + bytes(3) + mark)
     assert "a record is too short" in refused(run)
+
+
+def test_the_progress_of_reading_is_reported_from_the_beginning(run: Path) -> None:
+    heard: list[float] = []
+    read_bag(run, progress=heard.append)
+    assert heard[0] == 0.0
+    assert heard == sorted(heard)
+    assert heard[-1] <= 1.0
+    assert max(heard) > 0.0
+    words: list[str] = []
+    measured_runs([run], tell=words.append)
+    assert words[0] == "reading run: 0 %"
