@@ -108,6 +108,7 @@ setup(
         "fast": ["numba==0.68.1"],
         "live": ["aiohttp>=3.9"],
         "files": ["openpyxl==3.1.5", "npTDMS==1.13.0"],
+        "mf4": ["asammdf==8.8.28"],
         "serial": ["pyserial==3.5"],
         "daq": ["nidaqmx==1.7.0", "labjack-ljm==1.23.0", "uldaq==1.2.3"],
         "visa": ["PyVISA==1.16.2", "PyVISA-py==0.8.1"],

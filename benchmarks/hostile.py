@@ -30,7 +30,8 @@ from mr_damper_ros.data_check.recordings import require_units
 from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.faults import Instruments, faults_of
 from mr_damper_ros.emulation.motions import Excitation, SineMotion, SteppedSine
-from mr_damper_ros.io.bag_reader import BagError, read_bag
+from mr_damper_ros.io.bag_files import BagError
+from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.io.columns import ColumnError, RecordError
 from mr_damper_ros.io.records import read_record

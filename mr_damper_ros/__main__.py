@@ -14,7 +14,7 @@ from mr_damper_ros.processes.exits import TERMINATED, exit_code
 COMMANDS = {
     "identify": "fit one parameter set of a force law to recordings",
     "validate": "report the error of a parameter set on recordings",
-    "import": "convert a text, CSV, MAT, XLSX or TDMS file to a bag",
+    "import": "convert a text, CSV, MAT, XLSX, TDMS or MF4 file to a bag",
     "check": "check the live signals of a rig and report faults (needs ROS 2)",
     "plan": "recommend the run of the test machine that is most informative",
     "replay": "report what identifier and model would have published for a recording",

@@ -116,7 +116,7 @@ def key_of(module: str) -> str:
     return next((key for key in candidates if key in rosdep_keys()), module)
 
 
-OPTIONAL = {"nptdms", "numba", "openpyxl", "pyvisa"}
+OPTIONAL = {"asammdf", "nptdms", "numba", "openpyxl", "pyvisa"}
 """Optional packages."""
 
 BROUGHT_BY_MCAP = {"lz4", "zstandard"}

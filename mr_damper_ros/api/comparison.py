@@ -72,15 +72,20 @@ def compare(found: ParameterSet, run: MeasuredRun) -> Comparison:
     As in a prediction, the peak velocity is limited to the range of the set, and the force of a law
     with memory is unknown until its state no longer depends on the past.
     """
-    first, columns = run.recordings[0], []
+    first, columns = run.recordings[0], list[tuple[Array, ...]]()
     for recording, window in zip(run.recordings, run.windows, strict=True):
         start = (recording.start_ns - first.start_ns) / NANOSECONDS
-        times, motion = start + window.period * np.arange(window.sample_count), window.motion
+        times: Array = np.arange(window.sample_count, dtype=float) * window.period + start
+        motion = window.motion
         gradual = found.turns_gradually(window)
         force = found.window_force(window, gradual=gradual)
         force = np.where(found.settled(window, gradual=gradual), force, np.nan)
         columns.append((times, motion.displacement, motion.velocity, window.force, force))
-    time, u, v, measured, predicted = map(np.concatenate, zip(*columns, strict=True))
+    # A single window is not copied.
+    joined: Iterable[Array] = (
+        columns[0] if len(columns) == 1 else map(np.concatenate, zip(*columns, strict=True))
+    )
+    time, u, v, measured, predicted = joined
     origin = first.details.get("provenance", "")
     return Comparison(run.name, time, u, v, measured, predicted, origin)
 

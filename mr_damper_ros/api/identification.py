@@ -35,7 +35,11 @@ from mr_damper_ros.api.measured_runs import (
 from mr_damper_ros.data_check.currents import current_lateness, lateness_finding
 from mr_damper_ros.data_check.findings import Finding, Kind, labelled
 from mr_damper_ros.estimation.covariance import least_squares_covariance, noise_level
-from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, Report
+from mr_damper_ros.estimation.differential_evolution import (
+    EvolutionSettings,
+    GlobalProgress,
+    Report,
+)
 from mr_damper_ros.estimation.experiment_design import MachineLimits
 from mr_damper_ros.estimation.global_fit import GlobalFit
 from mr_damper_ros.estimation.law_choice import LawChoice, cross_validate
@@ -409,6 +413,7 @@ def identify(
             accept_doubtful=accept_doubtful,
             as_measured=as_measured,
             processes=processes,
+            tell=None if report is None else partial(_tell, report),
         )
         measured = without_inertia(measured, 0.0 if fit_mass else mass)
         if start_values is None:
@@ -494,6 +499,10 @@ def identify_measured(
         findings=found,
         profiles=profiles,
     )
+
+
+def _tell(report: Report, words: str) -> None:
+    report(GlobalProgress(words, 0, 0, math.nan, math.nan))
 
 
 def _stopped_choice(choice: LawChoice) -> str:
@@ -729,6 +738,7 @@ def choose_law(
             (displacement, force, current, period),
             accept_doubtful=accept_doubtful,
             processes=processes,
+            tell=None if report is None else partial(_tell, report),
         )
         return cross_validate(
             [run.windows for run in measured],

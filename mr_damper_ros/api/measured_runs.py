@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, SupportsFloat, cast
@@ -27,7 +27,7 @@ RunArrays = tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None, float | 
 
 _LARGEST_MASS = 1e6
 _RECORD_ENDINGS = frozenset(
-    {".txt", ".csv", ".tsv", ".dat", ".asc", ".mat", ".xlsx", ".xlsm", ".tdms"}
+    {".txt", ".csv", ".tsv", ".dat", ".asc", ".mat", ".xlsx", ".xlsm", ".tdms", ".mf4"}
 )
 
 
@@ -61,8 +61,9 @@ def measured_run(
     source: str | os.PathLike[str] | Recording,
     accept_doubtful: bool = False,
     as_measured: bool = False,
+    notify: Notify | None = None,
 ) -> MeasuredRun:
-    """A run from a bag or a recording.
+    """A run from a bag or a recording; ``notify`` receives the progress in words.
 
     Raises DataError if a finding refuses the run; with ``accept_doubtful``, only if the
     displacement or the force is constant. ``as_measured``: mend and leave out nothing. Raises
@@ -72,7 +73,7 @@ def measured_run(
     if isinstance(source, Recording):
         recordings: Sequence[Recording] = (source,)
     elif isinstance(source, (str, os.PathLike)):
-        recordings = _recordings(Path(source))
+        recordings = _recordings(Path(source), notify)
     else:
         raise ValueError(
             f"a run cannot be of type {type(source).__name__}: give the path of a bag or a "
@@ -96,10 +97,12 @@ def measured_runs(
     accept_doubtful: bool = False,
     as_measured: bool = False,
     processes: ProcessPool | None = None,
+    tell: Callable[[str], object] | None = None,
 ) -> tuple[MeasuredRun, ...]:
     """All runs in the given order, followed by the run of the ``arrays``, if given.
 
-    Raises ValueError if there is no run, or one cannot be used.
+    ``tell`` receives the progress in words. Raises ValueError if there is no run, or one cannot be
+    used.
     """
     flat = flat_runs(sources)
     if any(given is not None for given in arrays):
@@ -110,7 +113,13 @@ def measured_runs(
             "and period"
         )
     tasks = [(source, accept_doubtful, as_measured) for source in flat]
-    found = (processes or ProcessPool()).map(_task, tasks)
+
+    def listen(number: int, words: str) -> bool:
+        if tell is not None:
+            tell(f"run {number + 1} of {len(flat)}, {words}" if len(flat) > 1 else words)
+        return True
+
+    found = (processes or ProcessPool()).map(_task, tasks, listen)
     return tuple(run for run in found if run is not None)
 
 
@@ -140,7 +149,7 @@ def all_windows(runs: Sequence[MeasuredRun]) -> list[Window]:
 
 
 def _task(task: tuple[str | Recording, bool, bool], notify: Notify) -> MeasuredRun:
-    return measured_run(*task)
+    return measured_run(*task, notify)
 
 
 def flat_runs(sources: Iterable[RunSource]) -> list[Any]:
@@ -155,7 +164,7 @@ def flat_runs(sources: Iterable[RunSource]) -> list[Any]:
     return flat
 
 
-def _recordings(path: Path) -> list[Recording]:
+def _recordings(path: Path, notify: Notify | None) -> list[Recording]:
     if path.suffix.lower() in _RECORD_ENDINGS and path.is_file():
         raise ValueError(
             f"{path} is not a bag: describe its columns and units to read_record in Python, or "
@@ -163,7 +172,16 @@ def _recordings(path: Path) -> list[Recording]:
         )
     from mr_damper_ros.io.bag_reader import read_bag  # imported here, because only bags need it
 
-    return read_bag(path)
+    told = -1
+
+    def progress(fraction: float) -> None:
+        nonlocal told
+        percent = int(100.0 * fraction)
+        if notify is not None and percent != told:
+            told = percent
+            notify(f"reading {path.name}: {percent} %")
+
+    return read_bag(path, progress=progress)
 
 
 def _from_arrays(arrays: RunArrays) -> Recording:

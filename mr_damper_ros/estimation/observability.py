@@ -68,21 +68,11 @@ def operating_points_within(windows: Sequence[Window]) -> tuple[list[float], lis
     speeds: list[float] = []
     currents: list[float] = []
     for window in windows:
-        # Weight the samples by speed, so that rest has no weight.
-        weights = np.abs(window.motion.velocity)
-        speeds += _quantiles(window.motion.peak_velocity, weights, (0.1, 0.5, 0.9))
+        speeds += window.covered_speeds
         if current_varies(window):
-            currents += _quantiles(window.current, weights, (0.1, 0.3, 0.5, 0.7, 0.9))
+            currents += window.covered_currents
         currents += [float(window.current.min()), float(window.current.max())]
     return speeds, currents
-
-
-def _quantiles(values: Array, weights: Array, shares: Sequence[float]) -> list[float]:
-    """Quantiles of weighted values (n,)."""
-    order = np.argsort(values)
-    total = np.cumsum(weights[order])
-    places = np.searchsorted(total, np.array(shares) * total[-1])
-    return values[order[np.minimum(places, order.size - 1)]].tolist()
 
 
 _PREFER_SHAPE = 1e2

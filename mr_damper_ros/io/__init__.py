@@ -1,1 +1,1 @@
-"""Files: bags and record files (text, CSV, MAT, TDMS, XLSX), with their units."""
+"""Files: bags and record files (text, CSV, MAT, TDMS, MF4, XLSX), with their units."""

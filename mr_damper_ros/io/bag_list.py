@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mr_damper_ros.models.parameter_set import UserError
 
-_BAG_FILE = ".mcap"
+_BAG_FILES = (".mcap", ".db3")
 _METADATA = "metadata.yaml"
 _PATTERN_SIGNS = frozenset("*?[")
 
@@ -22,14 +22,14 @@ def find_bags(sources: Iterable[str | os.PathLike[str]]) -> list[Path]:
     """The bags in the sources, each path once.
 
     A source is a folder, a pattern with ``*``, or a path. A bag is a folder with metadata.yaml, or
-    a .mcap file. Raises BagListError if a source has no bag.
+    a .mcap or .db3 file. Raises BagListError if a source has no bag.
     """
     found: dict[Path, None] = {}
     for source in sources:
         paths = [path for root in _roots(os.fspath(source)) for path in _bags(root)]
         if not paths:
             raise BagListError(
-                f"there is no bag in {os.fspath(source)}: give folders or .mcap files of bags"
+                f"there is no bag in {os.fspath(source)}: give folders, .mcap or .db3 files of bags"
             )
         found.update(dict.fromkeys(paths))
     return list(found)
@@ -58,4 +58,4 @@ def _bags(root: Path) -> Iterator[Path]:
 
 
 def _is_bag_file(path: Path) -> bool:
-    return path.suffix.lower() == _BAG_FILE
+    return path.suffix.lower() in _BAG_FILES

@@ -11,9 +11,8 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Callable, Mapping
-from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
@@ -27,9 +26,10 @@ from rosbags.interfaces import (
     QosTime,
 )
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mr_damper_ros.io.bag_reader import TOPICS, BagError
+from mr_damper_ros.io.bag_files import BagError
+from mr_damper_ros.io.bag_messages import known_types
+from mr_damper_ros.io.bag_reader import TOPICS
 from mr_damper_ros.processes.files import named_errors
 from mr_damper_ros.signals.blocks import NANOSECONDS, STAMP_LIMIT, SampleBlock
 from mr_damper_ros.signals.recording import (
@@ -57,29 +57,6 @@ _STREAM_QUALITY = Qos(
     liveliness_lease_duration=_INFINITE,
     avoid_ros_namespace_conventions=False,
 )
-
-
-def _message_folder() -> Path:
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    folders = [Path(prefix) / "share" / "mr_damper_msgs" / "msg" for prefix in prefixes if prefix]
-    here = Path(__file__).resolve()
-    folders += [here.parent / "msg", here.parents[2] / "msg_defs" / "msg"]  # of a wheel, of a clone
-    for folder in folders:
-        if (folder / "MtsSamples.msg").is_file():
-            return folder
-    raise BagError(
-        "the message definitions of mr_damper_msgs are not installed: "
-        "source the setup file of the workspace that holds mr_damper_msgs"
-    )
-
-
-@lru_cache(maxsize=1)
-def _typestore() -> Any:
-    store = get_typestore(Stores.ROS2_JAZZY)
-    for path in sorted(_message_folder().glob("*.msg")):
-        message_type = f"mr_damper_msgs/msg/{path.stem}"
-        store.register(get_types_from_msg(path.read_text(encoding="utf-8"), message_type))
-    return store
 
 
 class _McapFile:
@@ -133,7 +110,7 @@ class BagStream:
         _check_free(path, overwrite=False)
         self._path, self.fresh = path, path.with_name(f".{path.name}.part") / path.name
         self.fresh.parent.mkdir(parents=True)
-        store = _typestore()
+        store = known_types()
         self._writer = _Writer(self.fresh, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.open()
         for key, value in details.items():
@@ -230,7 +207,7 @@ def _message(item: StreamItem) -> tuple[str, int, bytes]:
         fields = {"current": item.current}
     else:
         fields = {"temperature": item.celsius, "variance": 0.0}
-    store = _typestore()
+    store = known_types()
     seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
     stamp = store.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
     header = store.types["std_msgs/msg/Header"](stamp=stamp, frame_id=_FRAME)

@@ -326,10 +326,11 @@ def read_record(
     Parameters
     ----------
     path
-        Text, CSV, MAT, XLSX or TDMS file. The fields of a text file are separated by spaces, tabs,
-        semicolons or commas. The numbers of the whole file show the decimal mark and thousands
-        separators; ambiguous ones are refused. Lines above the rows of numbers, between blocks of
-        them and below them are left out, and ``details["note"]`` names what could be samples.
+        Text, CSV, MAT, XLSX, TDMS or MF4 file. The fields of a text file are separated by spaces,
+        tabs, semicolons or commas. The numbers of the whole file show the decimal mark and
+        thousands separators; ambiguous ones are refused. Lines above the rows of numbers, between
+        blocks of them and below them are left out, and ``details["note"]`` names what could be
+        samples.
     columns
         Quantity and unit of each column from the left.
 
@@ -343,7 +344,7 @@ def read_record(
     stop
         End of the part to read [s after the first sample].
     variable
-        Matrix of a MAT file, sheet of a spreadsheet, or group of channels of a TDMS file, if there
+        Matrix or structure of a MAT file, sheet of a spreadsheet, or group of channels, if there
         are several.
     moving_average
         Undo a moving average over this number of samples; exact if the record begins at rest.
@@ -395,7 +396,7 @@ def _read_samples(
         raise RecordError(f"the period is {period} s: it must be positive")
     kind = irregularity(path)
     if kind:
-        raise RecordError(f"{path} is {kind}: give a text, CSV, MAT, XLSX or TDMS file")
+        raise RecordError(f"{path} is {kind}: give a text, CSV, MAT, XLSX, TDMS or MF4 file")
     if path.stat().st_size == 0:
         raise RecordError(f"{path.name} is empty: give a file with at least two rows of numbers")
     if path.suffix.lower() in FORMATS:

@@ -26,13 +26,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.observer import AdaptiveObserver
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import FEW, Array
 
 HALF_CYCLES = 8
 """Number of whole half-cycles before the present one that determine the angular frequency."""
 
 MEMORY = 10.0
 """Longest half-cycle [s]; a longer rest is divided into half-cycles of this duration."""
+
+_AT_ONCE = 1024
+"""Number of samples that are processed one by one before a faster way is tried again."""
 
 REVERSAL = 0.25
 """A half-cycle ends when the opposite speed reaches this part of the highest speed, and a stroke
@@ -102,6 +105,51 @@ class PeakVelocity:
 
     def time_scales(self, velocity: Array, acceleration: Array) -> Array:
         """Inverse angular frequency [s] at the next samples, shape (n,); see :meth:`follow`."""
+        scales: list[Array] = []
+        done = 0
+        while done < velocity.size:
+            # The next half-cycle is probably not much longer than the last one.
+            likely = min(
+                velocity.size - done, 2 * self._finished[-1].count if self._finished else 0
+            )
+            if self._known_time_scale is None or self._sense == 0.0 or likely <= FEW:
+                part, scales_of = slice(done, done + _AT_ONCE), self._scales_of_each
+            else:
+                part, scales_of = slice(done, done + likely), self._scales_of_half_cycle
+            scales.append(scales_of(velocity[part], acceleration[part]))
+            done += scales[-1].size
+        return np.concatenate(scales) if scales else np.empty(0)
+
+    def _scales_of_half_cycle(self, velocity: Array, acceleration: Array) -> Array:
+        """The time scales up to the end of the half-cycle, at most n, as by each sample."""
+        present = self._present
+        count = min(velocity.size, self._longest - present.count)
+        speed = np.abs(velocity[:count])
+        highest = np.maximum.accumulate(np.append(present.highest, speed))
+        limits = REVERSAL * np.maximum(highest[1:], self._highest)
+        reversals = self._sense * velocity[:count] < -limits
+        reverses = bool(reversals.any())
+        if reverses:
+            count = int(np.argmax(reversals))
+        scales = np.full(count, self._known_time_scale)
+        if count:
+            present.highest = float(highest[count])
+            present.count += count
+            # A running sum is rounded like a loop over the samples.
+            for name, values in (("velocity", velocity), ("acceleration", acceleration)):
+                key = f"squared_{name}"
+                steps = np.append(getattr(present, key), values[:count] ** 2)
+                setattr(present, key, float(np.cumsum(steps)[-1]))
+            self._count += count
+        if reverses:
+            self._sense = -self._sense
+            self._finish()
+        elif present.count == self._longest:
+            self._finish()
+        return scales
+
+    def _scales_of_each(self, velocity: Array, acceleration: Array) -> Array:
+        """The time scales of all n samples, one by one."""
         scales = []
         for v, a in zip(velocity.tolist(), acceleration.tolist(), strict=True):
             speed = abs(v)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -228,6 +229,14 @@ _SPIKE_QUANTILE = 0.995
 """Fraction of the samples that is assumed free of spikes."""
 
 
+def _quantiles(values: Array, velocity: Array, shares: Sequence[float]) -> list[float]:
+    """Quantiles of values (n,), weighted by the absolute velocity."""
+    order = np.argsort(values)
+    total = np.cumsum(np.abs(velocity)[order])
+    places = np.searchsorted(total, np.array(shares) * total[-1])
+    return values[order[np.minimum(places, order.size - 1)]].tolist()
+
+
 @dataclass(frozen=True)
 class Window:
     """Motion, force [N] and coil current [A] of a window; arrays of shape (n,).
@@ -423,6 +432,16 @@ class Window:
     def largest_force(self) -> float:
         """Largest absolute force [N], without spikes of the sensor."""
         return float(np.quantile(np.abs(self.force), _SPIKE_QUANTILE))
+
+    @cached_property
+    def covered_speeds(self) -> list[float]:
+        """Deciles 1, 5 and 9 of the peak velocity [m/s], weighted by the speed: rest has none."""
+        return _quantiles(self.motion.peak_velocity, self.motion.velocity, (0.1, 0.5, 0.9))
+
+    @cached_property
+    def covered_currents(self) -> list[float]:
+        """Deciles 1, 3, 5, 7 and 9 of the current [A], weighted by the speed."""
+        return _quantiles(self.current, self.motion.velocity, (0.1, 0.3, 0.5, 0.7, 0.9))
 
     @property
     def peak_velocity_range(self) -> tuple[float, float]:

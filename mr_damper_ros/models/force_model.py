@@ -36,6 +36,10 @@ from mr_damper_ros.models.quantities import (
 )
 from mr_damper_ros.signals.arrays import NEGLIGIBLE, Array
 
+AT_ONCE = 1 << 16
+"""Number of samples of a motion whose terms are in memory together. Of two million samples, the
+terms of the sigmoid law need 350 MB."""
+
 _USUAL_RUN = LoopReading(1000.0, 0.0, 2.0 * np.pi * 1.0 * 5e-3, 5e-3)
 """A typical run: 1 kN, 5 mm, 1 Hz."""
 
@@ -170,6 +174,14 @@ class Model(ABC):
         For parameters (..., p), a motion and currents (n,) [A], the ``period`` [s] between samples
         and the state after the previous sample.
         """
+        size = motion.velocity.size
+        if size > AT_ONCE:
+            forces = np.empty((*parameters.shape[:-1], size))
+            for part in (slice(k, k + AT_ONCE) for k in range(0, size, AT_ONCE)):
+                along = motion.part(part), current[part], period
+                forces[..., part], state = self.follow(parameters, *along, state)
+            assert state is not None
+            return forces, state
         # Without np.any for one set, because it takes as long as the lag itself.
         lags = parameters[-1] > 0.0 if parameters.ndim == 1 else np.any(parameters[..., -1] > 0.0)
         if not (self.has_coil and lags):

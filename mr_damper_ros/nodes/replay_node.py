@@ -106,7 +106,7 @@ class ReplayNode(Node):  # type: ignore[misc]
         provenance = "; ".join(f"{key}: {value}" for key, value in self._bag.details.items())
         count = sum(connection.msgcount for connection in self._connections)
         log.info(
-            f"playing {values.bag}: {count} messages, {self._bag.reader.duration * 1e-9:.3g} s"
+            f"playing {values.bag}: {count} messages, {self._bag.files.duration * 1e-9:.3g} s"
             f"{'; ' + provenance if provenance else ''}"
         )
         latched = {
@@ -141,7 +141,7 @@ class ReplayNode(Node):  # type: ignore[misc]
         if not path:
             raise ValueError("no bag is given: set the parameter bag to the path of a bag")
         bag = self._opened.enter_context(opened_bag(path, maximum_samples=None))
-        recorded = {connection.topic for connection in bag.reader.connections}
+        recorded = {connection.topic for connection in bag.files.connections}
         wanted = recorded - {"/clock"}  # there must be only one clock
         if topics == INPUTS:
             ends = ("/mts/samples", "/supply/current", "/temperature")
@@ -151,7 +151,7 @@ class ReplayNode(Node):  # type: ignore[misc]
         missing = wanted - recorded
         if missing:
             raise ValueError(f"the bag {path} has no topic {', '.join(sorted(missing))}")
-        for connection in bag.reader.connections:
+        for connection in bag.files.connections:
             if connection.topic in wanted:
                 problem = _definition_problem(connection)
                 if problem:
@@ -197,7 +197,7 @@ class ReplayNode(Node):  # type: ignore[misc]
 
     def _play_once(self) -> bool:
         tick: int | None = None
-        for connection, stamp, data in self._bag.reader.messages(self._connections):
+        for connection, stamp, data in self._bag.files.messages(self._connections):
             tick = stamp if tick is None else tick
             # The clock also advances between messages, but never beyond the next one.
             while tick <= stamp:

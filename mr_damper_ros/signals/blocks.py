@@ -306,12 +306,12 @@ class ZeroOrderHold:
         Samples before the first value get the first value; :meth:`known_from` detects them.
         """
         following = bisect_right(self._stamps, start_ns) or 1
-        result = np.full(count, self._values[following - 1])
-        for place in range(following, len(self._stamps)):
-            delay = (self._stamps[place] - start_ns) / (period * NANOSECONDS)
-            # Rounding of the stamp to nanoseconds must not move a step by one sample.
-            index = math.ceil(delay - 1e-3)
-            if index >= count:
-                break
-            result[max(index, 0) :] = self._values[place]
-        return result
+        end = bisect_right(self._stamps, start_ns + round(count * period * NANOSECONDS))
+        before = self._values[following - 1]
+        if end <= following:
+            return np.full(count, before)
+        delays = np.array(self._stamps[following:end]) - start_ns
+        # Rounding of the stamp to nanoseconds must not move a step by one sample.
+        first = np.ceil(delays / (period * NANOSECONDS) - 1e-3).clip(0, count).astype(np.intp)
+        lengths = np.diff(first, prepend=0, append=count)
+        return np.repeat(np.array([before, *self._values[following:end]]), lengths)

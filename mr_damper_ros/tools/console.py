@@ -182,7 +182,7 @@ def add_path(
 
 def add_run_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of all programs that read runs."""
-    add_path(parser, "bags", "BAG", "bag folder or .mcap file", nargs="+")
+    add_path(parser, "bags", "BAG", "bag folder, .mcap or .db3 file", nargs="+")
     add_arguments(parser, identify, ["accept_doubtful", "as_measured"])
 
 

@@ -1,4 +1,4 @@
-"""Convert a text, CSV, MAT, XLSX or TDMS file to a bag.
+"""Convert a text, CSV, MAT, XLSX, TDMS or MF4 file to a bag.
 
 With nothing but a text file or a sheet, show its headings, units and first rows, and propose the
 command.
@@ -61,7 +61,7 @@ _FLAGS = {"start": "--from", "stop": "--to", "moving_average": "--undo-moving-av
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    add_path(parser, "file", "FILE", "text, CSV, MAT, XLSX or TDMS file")
+    add_path(parser, "file", "FILE", "text, CSV, MAT, XLSX, TDMS or MF4 file")
     where = "bag to write; with --split, folder of the bags, one for each run"
     add_path(parser, "--output", "BAG", where)
     add_arguments(parser, read_record, _OPTIONS, flags=_FLAGS, without_default=("columns",))
@@ -112,7 +112,7 @@ def _propose(options: argparse.Namespace) -> int:
     if options.split or any(other is not None for other in others):
         raise RecordError(_BOTH)
     if kind := irregularity(path):
-        raise RecordError(f"{path} is {kind}: give a text, CSV, MAT, XLSX or TDMS file")
+        raise RecordError(f"{path} is {kind}: give a text, CSV, MAT, XLSX, TDMS or MF4 file")
     given = {name: getattr(options, name) for name in _CARRIED}
     given = {name: value for name, value in given.items() if value is not None}
     proposal = propose_columns(path, options.variable, "period" in given)

@@ -14,7 +14,8 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
-from mr_damper_ros.io.bag_reader import OpenBag, bag_stream, opened_bag, stamp_of
+from mr_damper_ros.io.bag_messages import stamp_of
+from mr_damper_ros.io.bag_reader import OpenBag, bag_stream, opened_bag
 from mr_damper_ros.live.live_record import LiveRecord
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.programs import node_arguments
@@ -101,7 +102,7 @@ def _set_points(bag: OpenBag) -> list[tuple[int, str, float]]:
         for topic, kind, name, field in _SET_POINTS
     }
     fields.pop("", None)
-    for topic, message in bag.decoded(set(fields)) if fields else ():
+    for topic, _, message in bag.decoded(set(fields)) if fields else ():
         name, field = fields[topic]
         found.append((stamp_of(message), name, float(getattr(message, field))))
     return sorted(found)

@@ -18,7 +18,7 @@ from mr_damper_ros.tracking.tracker import OF_THE_SET
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    add_path(parser, "bag", "BAG", "bag folder or .mcap file")
+    add_path(parser, "bag", "BAG", "bag folder, .mcap or .db3 file")
     add_path(parser, "--parameters", "FILE", "initial parameter set (default: none)")
     parser.add_argument(
         "--model",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mr_damper_ros.io.bag_reader import BagError
+from mr_damper_ros.io.bag_files import BagError
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.models.published import CONDITIONS, Condition, find
 from mr_damper_ros.tools.console import program

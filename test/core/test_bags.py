@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mr_damper_ros.io.bag_reader import BagError, read_bag
+from mr_damper_ros.io.bag_files import BagError
+from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.signals.recording import Recording
 

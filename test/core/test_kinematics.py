@@ -69,6 +69,20 @@ def test_a_sine_is_recovered(
     assert fit.residual_rms <= EXACT * amplitude
 
 
+@pytest.mark.parametrize("frequency", [0.0021, 0.37, 1.2345, 125.0, 480.0])
+def test_a_long_sine_is_recovered(frequency: float) -> None:
+    count = 400_000
+    noise = 5e-6 * np.random.default_rng(0).standard_normal(count)
+    u = 1e-3 + 5e-3 * np.sin(2.0 * np.pi * frequency * 1e-3 * np.arange(count) + 1.0)
+    fit = fit_sine(u + noise, 1e-3)
+    assert fit is not None
+    # The phase after the whole record.
+    assert abs(fit.frequency - frequency) * 0.4 * count * 2e-3 * np.pi < 1e-4
+    assert fit.amplitude == pytest.approx(5e-3, rel=1e-4)
+    assert fit.offset == pytest.approx(1e-3, abs=1e-6)
+    assert fit.residual_rms == pytest.approx(5e-6, rel=0.05)
+
+
 def test_the_sine_fit_is_at_the_cramer_rao_bound() -> None:
     amplitude, frequency, noise, n, seeds = 5e-3, 1.3, 5e-5, 1000, 200
     t = np.arange(n) * PERIOD

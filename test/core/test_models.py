@@ -1,5 +1,6 @@
 """The reviewed models: formulas, integration, lag, identification of a model's own force."""
 
+import known
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -7,9 +8,11 @@ from hypothesis import strategies as st
 from known import EXAMPLES, PLAUSIBLE, fixed, run
 from scipy.integrate import solve_ivp
 
-from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.models import MODELS
+from mr_damper_ros.kinematics.motion import Motion, window_motion
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS, force_model
 from mr_damper_ros.models.first_order_lag import lagged
+from mr_damper_ros.models.sigmoid import window_forces
 from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
 
 PERIOD = 1e-3
@@ -196,3 +199,22 @@ def test_the_time_constant_of_the_lag_is_the_compliance_times_the_damping_of_the
     damping = c.f_t * np.tanh(0.5 * c.alpha * velocity) / velocity
     expected = lagged(plain, compliance * damping, PERIOD) + stiffness * w.displacement + offset
     np.testing.assert_allclose(got, expected)
+
+
+@pytest.mark.parametrize("law", known.MODELS)
+def test_long_motions_are_followed_in_parts(law: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    model, values = known.MODELS[law], known.controllable(law).values
+    time = 1e-3 * np.arange(3000)
+    motion = window_motion(5e-3 * np.sin(2.0 * np.pi * time * (1.0 + 0.1 * time)), 1e-3)
+    current = np.where(time < 1.3, 0.5, 1.0)
+    for each in (model, model.continuous):
+        whole, _ = each.follow(values, motion, current, 1e-3, None)
+        of_window = each.window_force(Window(motion, whole, current, 1e-3), values)
+        with monkeypatch.context() as patch:
+            for module in (force_model, window_forces):
+                patch.setattr(module, "AT_ONCE", 700)
+            parts, _ = each.follow(values, motion, current, 1e-3, None)
+            of_parts = each.window_force(Window(motion, whole, current, 1e-3), values)
+        scale = np.std(whole)
+        np.testing.assert_allclose(parts, whole, rtol=0.0, atol=1e-12 * scale)
+        np.testing.assert_allclose(of_parts, of_window, rtol=0.0, atol=1e-12 * scale)

@@ -109,3 +109,21 @@ def test_the_start_of_a_stream_has_the_same_peak_velocity_in_blocks_of_any_size(
 
     # Matrix products of different sizes round differently.
     np.testing.assert_allclose(followed(size), followed(7), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("memory", [10.0, 0.3])
+@pytest.mark.parametrize("seed", range(6))
+def test_many_samples_at_once_are_followed_like_each_alone(seed: int, memory: float) -> None:
+    rng = np.random.default_rng(seed)
+    time = PERIOD * np.arange(20_000)
+    frequency = 10.0 ** rng.uniform(-0.5, 1.5)
+    velocity = np.sin(2.0 * np.pi * frequency * time * (1.0 + 0.01 * time))
+    velocity *= (np.sin(0.5 * time) > -0.5) + 1e-3 * seed * rng.standard_normal(time.size)
+    acceleration = np.gradient(velocity, PERIOD)
+    once, single = PeakVelocity(PERIOD, memory), PeakVelocity(PERIOD, memory)
+    found = once.time_scales(velocity, acceleration)
+    expected = np.concatenate(
+        [single.time_scales(velocity[k : k + 1], acceleration[k : k + 1]) for k in range(time.size)]
+    )
+    np.testing.assert_array_equal(found, expected)
+    assert vars(once) == vars(single)

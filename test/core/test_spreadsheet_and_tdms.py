@@ -1,5 +1,6 @@
 """XLSX and TDMS files give the same recording as a text file with the same numbers."""
 
+import re
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -93,6 +94,22 @@ def test_a_sheet_that_unpacks_to_more_than_the_limit_is_refused(tmp_path: Path) 
     assert "holds more than 1000 samples" in refused(path, maximum_samples=1000)
 
 
+@with_openpyxl
+@pytest.mark.parametrize("dimension", ["A1", "A1:B20", "A1:C203", "A1:ZZ5"])
+def test_a_wrong_dimension_of_a_sheet_hides_nothing(tmp_path: Path, dimension: str) -> None:
+    path = workbook(tmp_path / "run.xlsx", HEAD + ROWS)
+    with ZipFile(path) as packed:
+        parts = {name: packed.read(name) for name in packed.namelist()}
+    sheet = "xl/worksheets/sheet1.xml"
+    stated = b'<dimension ref="' + dimension.encode() + b'"'
+    parts[sheet], count = re.subn(rb'<dimension ref="[^"]*"', stated, parts[sheet])
+    assert count == 1
+    with ZipFile(path, "w") as packed:
+        for name, content in parts.items():
+            packed.writestr(name, content)
+    assert_is_the_run(path)
+
+
 def damaged(path: Path) -> Path:
     path.write_bytes(b"PK\x03\x04" + bytes(1000))
     return path
@@ -131,6 +148,79 @@ def test_a_waveform_tells_the_time_between_samples(tmp_path: Path) -> None:
     assert "the time between samples is unknown" in refused(without, "displacement:mm,force:N")
 
 
+def waveforms(
+    path: Path, delays: dict[str, float], by_offset: bool, increments: tuple[float, ...] = ()
+) -> Path:
+    """Displacement and force whose first samples are ``delays`` [sample periods] after a start."""
+    from nptdms import ChannelObject, TdmsWriter
+
+    start, period = np.datetime64("2024-05-02T10:00:00.000000"), 0.01
+    made = []
+    for (name, delay), increment in zip(
+        delays.items(), increments or (period, period), strict=True
+    ):
+        time = period * (delay + np.arange(200))
+        values = 5.0 * np.sin(2.0 * time) if name == "Stroke" else 900.0 * np.cos(2.0 * time)
+        late = round(1e6 * period * delay)
+        begins = start if by_offset else start + np.timedelta64(late, "us")
+        offset = 1e-6 * late if by_offset else 0.0
+        given = {"wf_start_time": begins, "wf_start_offset": offset, "wf_increment": increment}
+        made.append(ChannelObject("Run", name, values, properties=given))
+    with TdmsWriter(path) as writer:
+        writer.write_segment(made)
+    return path
+
+
+@with_nptdms
+@pytest.mark.parametrize("by_offset", [True, False])
+@pytest.mark.parametrize("delays", [(0.0, 25.0), (25.0, 0.0), (0.0, 0.4), (3.7, 0.0), (7.3, 2.8)])
+def test_channels_that_start_at_different_times_are_aligned(
+    tmp_path: Path, delays: tuple[float, float], by_offset: bool
+) -> None:
+    path = waveforms(
+        tmp_path / "run.tdms", dict(zip(("Stroke", "Load"), delays, strict=True)), by_offset
+    )
+    read = read_record(path, "displacement=Stroke:mm,force=Load:N", current=0.5)
+    time = 0.01 * (max(delays) + np.arange(read.sample_count))
+    assert read.sample_count >= 199 - abs(delays[0] - delays[1])
+    np.testing.assert_allclose(read.displacement, 5e-3 * np.sin(2.0 * time), atol=1e-6)
+    np.testing.assert_allclose(read.force, 900.0 * np.cos(2.0 * time), atol=0.1)
+    assert "channels start later than others" in read.details["note"]
+
+
+@with_nptdms
+def test_channels_of_different_rates_are_refused(tmp_path: Path) -> None:
+    path = waveforms(tmp_path / "run.tdms", {"Stroke": 0.0, "Load": 0.0}, False, (0.01, 0.02))
+    sentence = refused(path, "displacement=Stroke:mm,force=Load:N", period=0.01)
+    assert "different sample periods: Stroke 0.01 s, Load 0.02 s" in sentence
+
+
+@with_nptdms
+def test_channels_without_a_common_time_are_refused(tmp_path: Path) -> None:
+    path = waveforms(tmp_path / "run.tdms", {"Stroke": 0.0, "Load": 900.0}, False)
+    assert "have no time in common" in refused(path, "displacement=Stroke:mm,force=Load:N")
+
+
+@with_nptdms
+@pytest.mark.parametrize("cut", [0, 8, 1000, 1500])
+def test_a_file_that_was_not_closed_says_so(tmp_path: Path, cut: int) -> None:
+    from nptdms import ChannelObject, TdmsWriter
+
+    path = tmp_path / "run.tdms"
+    with TdmsWriter(path) as writer:
+        for rows in (slice(100), slice(100, None)):
+            writer.write_segment([ChannelObject("Run", n, v[rows]) for n, v in GROUP.items()])
+    content = bytearray(path.read_bytes())
+    second = content.rindex(b"TDSm")
+    content[second + 12 : second + 20] = b"\xff" * 8  # the length of a segment in progress
+    path.write_bytes(content[: len(content) - cut])
+    read = read_record(path, COLUMNS, current=0.5)
+    np.testing.assert_allclose(read.force, FORCE[: read.sample_count])
+    assert read.sample_count >= 100
+    note = f"its last samples may be missing; {read.sample_count} samples were read"
+    assert note in read.details["note"]
+
+
 @with_nptdms
 def test_a_group_is_chosen_by_its_name(tmp_path: Path) -> None:
     path = channels(tmp_path / "run.tdms", GROUP, GROUP)
@@ -156,7 +246,9 @@ def test_what_is_wrong_in_a_tdms_file_is_named(tmp_path: Path) -> None:
     assert "cannot be read as a TDMS file" in refused(other)
 
 
-@pytest.mark.parametrize(("ending", "library"), [("xlsx", "openpyxl"), ("tdms", "nptdms")])
+@pytest.mark.parametrize(
+    ("ending", "library"), [("xlsx", "openpyxl"), ("tdms", "nptdms"), ("mf4", "asammdf")]
+)
 def test_a_missing_library_is_one_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str, library: str
 ) -> None:

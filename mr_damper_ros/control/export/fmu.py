@@ -47,6 +47,15 @@ def compile_library(source: Path, library: Path, *options: str) -> str:
     return done.stderr
 
 
+_MEMORY = 1.0
+"""Time [s] over which the error of the predicted displacement is averaged."""
+
+_LARGEST_ERROR = 0.1
+"""Largest error of the predicted displacement, relative to its change in a communication step.
+
+With a larger one, the FMU warns.
+"""
+
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 """Fixed time stamp in the archive, so that the same set gives the same bytes."""
 
@@ -61,6 +70,8 @@ def fmu(law: ExportedLaw, name: str) -> bytes:
         "GUID": guid,
         "PROVENANCE": quoteattr(law.provenance),
         "PERIOD": number(law.settings.period),
+        "MEMORY": number(_MEMORY),
+        "LARGEST_ERROR": number(_LARGEST_ERROR),
     }
     source, description = (filled(template(f"fmu.{kind}.in"), values) for kind in ("c", "xml"))
     # The platform's folder of binaries in FMI 2.0, and the suffix of a library.

@@ -11,7 +11,7 @@ import numpy as np
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.first_order_lag import FirstOrderLag, coil_shows, in_coil
-from mr_damper_ros.models.force_model import Model, WindowForces
+from mr_damper_ros.models.force_model import AT_ONCE, Model, WindowForces
 from mr_damper_ros.models.formulas import staged
 from mr_damper_ros.models.quantities import DIFFERENCE
 from mr_damper_ros.models.sigmoid.following import (
@@ -59,6 +59,7 @@ class _Along:
     """
 
     def __init__(self, motion: Motion, current: Array) -> None:
+        self._motion, self._current = motion, current
         self._steady = bool(np.ptp(motion.peak_velocity) == 0.0 and np.ptp(current) == 0.0)
         self._point = motion.peak_velocity, current
         self._moving = motion.velocity, np.sign(motion.acceleration)
@@ -67,6 +68,14 @@ class _Along:
     @quiet
     def values(self, parameters: Array, *results: str) -> list[Array]:
         """The results, each (..., n), for parameters (..., 16 or more)."""
+        size = self._moving[0].size
+        if size > AT_ONCE:
+            whole = [np.empty((*parameters.shape[:-1], size)) for _ in results]
+            for part in (slice(k, k + AT_ONCE) for k in range(0, size, AT_ONCE)):
+                along = _Along(self._motion.part(part), self._current[part])
+                for row, values in zip(whole, along.values(parameters, *results), strict=True):
+                    row[..., part] = values
+            return whole
         single = parameters.ndim == 1
         # A steady motion of one set needs scalar code only, up to the velocity.
         steady = self._steady and single
