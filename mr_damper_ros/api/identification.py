@@ -32,6 +32,7 @@ from mr_damper_ros.api.measured_runs import (
     measured_runs,
     without_inertia,
 )
+from mr_damper_ros.api.poor_fit import LARGEST_NRMSE, causes_of
 from mr_damper_ros.data_check.currents import current_lateness, lateness_finding
 from mr_damper_ros.data_check.findings import Finding, Kind, labelled
 from mr_damper_ros.estimation.covariance import least_squares_covariance, noise_level
@@ -69,12 +70,6 @@ from mr_damper_ros.report.document import Cell, Grid
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import pooled
 from mr_damper_ros.tracking.state_directory import SetSource, given_set
-
-LARGEST_RUN_NRMSE = 0.3
-"""Largest acceptable NRMSE of a run; above it, the set explains too little of the force."""
-
-POOR_NRMSE, _MUCH_BETTER = 0.15, 0.6
-"""NRMSE above which the other laws are tried, and the part of it at which one is named."""
 
 AUTO = "auto"
 """Value of ``model`` for which the law is chosen by cross-validation."""
@@ -441,8 +436,6 @@ def identify(
         found = search(measured, resume=None if resume is None else Path(resume))
         if fit_mass and not found.searches.best.stopped:
             found = _with_mass(found, measured, search)
-        if choice is None and not found.searches.best.stopped:
-            found = replace(found, findings=(*found.findings, *_other_law(found, measured, search)))
     known = Estimate(mass, math.nan, "kg") if mass and not fit_mass else found.mass
     return replace(found, choice=choice, mass=known, accepted=accept_doubtful)
 
@@ -489,7 +482,7 @@ def identify_measured(
     best, fitted = searches.best.parameter_set, _fitted(searches, measured)
     slopes = details.negative_slopes({run.name: run.coefficients for run in fitted}, best)
     late = lateness_finding(*current_lateness(best, windows))
-    found = (*findings_on(measured), *slopes, *late, *_unexplained(fitted))
+    found = (*findings_on(measured), *slopes, *late, *_fit_findings(fitted, best))
     return Identification(
         parameter_set=replace(best, nrmse=pooled(run.error for run in fitted).nrmse),
         runs=fitted,
@@ -596,41 +589,16 @@ def _fitted_mass(fit: GlobalFit, windows: Sequence[Window], mass: float = 0.0) -
     )
 
 
-def _unexplained(runs: Sequence[FittedRun]) -> list[Finding]:
-    """A finding on each run of which the set explains too little."""
-    left = [(run.name, (run.level or run.error).nrmse) for run in runs]
-    return [
-        replace(
-            Kind.UNEXPLAINED.found(value=nrmse, nrmse=nrmse, limit=LARGEST_RUN_NRMSE), source=name
-        )
-        for name, nrmse in left
-        if nrmse > LARGEST_RUN_NRMSE
-    ]
-
-
-def _other_law(
-    found: Identification,
-    measured: Sequence[MeasuredRun],
-    search: Callable[..., Identification],
-) -> list[Finding]:
-    """A finding if another law explains the runs much better than that of a poor fit."""
-    model = found.parameter_set.model
-    if found.nrmse <= POOR_NRMSE:
-        return []
-    trials = {}
-    for other in MODELS:
-        if other != model:
-            start = start_values_of(None, other)
-            trial = search(measured, model=other, start_values=start, profile=())
-            trials[other] = trial.nrmse
-    other = min(trials, key=trials.__getitem__)
-    if trials[other] > _MUCH_BETTER * found.nrmse:
-        return []
-    return [
-        Kind.OTHER_LAW.found(
-            value=trials[other], other=other, better=trials[other], model=model, nrmse=found.nrmse
-        )
-    ]
+def _fit_findings(runs: Sequence[FittedRun], found: ParameterSet) -> list[Finding]:
+    """Findings on each run of which the set explains too little, and on the cause."""
+    findings = []
+    for run in runs:
+        nrmse = (run.level or run.error).nrmse
+        causes = causes_of(found, run.measured.longest, nrmse)
+        if nrmse > LARGEST_NRMSE:
+            causes.append(Kind.UNEXPLAINED.found(value=nrmse, nrmse=nrmse, limit=LARGEST_NRMSE))
+        findings += [replace(each, source=run.name) for each in causes]
+    return findings
 
 
 def start_values_of(source: SetSource | None, model: str) -> Array:

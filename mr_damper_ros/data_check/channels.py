@@ -56,7 +56,14 @@ constant speed this fraction is a half; if it comes to rest, it is a quarter, an
 limit exponentially, 0.35 at the resolved distance."""
 
 
-def clipped_at(values: Array) -> list[float]:
+class Limit(NamedTuple):
+    """An extreme at which a signal is clipped, and the estimated height of what is ``cut`` off."""
+
+    extreme: float
+    cut: float
+
+
+def clipped_at(values: Array) -> list[Limit]:
     """The extremes of a signal (n,) at which it stays, and where it arrives without slowing down.
 
     A machine that rests at a dead centre, or a sine with a coarse resolution, approaches its
@@ -75,8 +82,22 @@ def clipped_at(values: Array) -> list[float]:
             continue
         noisy = white_noise(values[~at_extreme]) > finest
         if noisy or _arrives_at_speed(np.abs(values - extreme), stays, finest):
-            found.append(extreme)
+            found.append(Limit(extreme, _cut_off(np.abs(values - extreme), stays)))
     return found
+
+
+def _cut_off(below: Array, stays: list[slice]) -> float:
+    """Height of parabolas that continue a signal over its stays; ``below`` (n,) is its distance."""
+    heights = []
+    for stay in stays:
+        length = stay.stop - stay.start
+        reach = max(length // 4, 2)
+        ends = [place for place in (stay.start - reach, stay.stop - 1 + reach) if place >= 0]
+        slopes = [float(below[place]) / reach for place in ends if place < below.size]
+        if slopes:
+            # The mean slope over a quarter of the stay before it is 1.25 times the slope at it.
+            heights.append(min(slopes) / 1.25 * length / 4.0)
+    return max(heights, default=0.0)
 
 
 def _arrives_at_speed(below: Array, stays: list[slice], finest: float) -> bool:
@@ -136,34 +157,39 @@ def spikes(values: Array, samples_per_cycle: float) -> Mask:
 
 # -- held values -----------------------------------------------------------------------------
 
-_FAST = 0.5
-"""Steps above this part of the largest usual step show the rate at which a channel is renewed."""
+_REGULAR = 0.95
+"""A channel is held if so large a part of the pauses between changes is a multiple of one."""
 
-_HELD = 0.95
-"""A channel is held if so large a part of the pauses between large steps is a multiple of one."""
+_UNEVEN = 0.2
+"""Largest deviation of a pause from a multiple, in usual pauses, if a clock rounds it."""
 
 
 def held_steps(values: Array) -> int:
-    """Number of samples for which a channel (n,) holds each value; 1 if it is renewed with each."""
-    steps = np.abs(np.diff(values))
-    changed = np.flatnonzero(steps)
+    """Number of samples for which a channel (n,) holds each value; 1 if it is renewed with each.
+
+    A coarse channel repeats values, too, but at irregular pauses.
+    """
+    changed = np.flatnonzero(np.diff(values))
     if changed.size < 2 * _STAY:
         return 1
-    finest = float(steps[changed].min())
-    large = changed[
-        steps[changed] > max(_FAST * float(np.quantile(steps[changed], 0.9)), 1.5 * finest)
-    ]
-    pauses = np.diff(large)
-    if pauses.size < _STAY:
+    pauses = np.diff(changed)
+    usual = float(np.mean(pauses[pauses <= 1.5 * np.median(pauses)]))
+    if usual < 1.5:
         return 1
-    usual = int(np.median(pauses))
-    if (
-        usual < 2
-        or float(np.mean(np.abs(pauses / usual - np.round(pauses / usual)) * usual <= 1.0)) < _HELD
-    ):
-        return 1
-    # Between two renewals, the value is the same.
-    return usual if changed.size < 1.5 * values.size / usual else 1
+    off = np.abs(pauses - usual * np.maximum(np.round(pauses / usual), 1.0))
+    even = off <= max(_UNEVEN * usual, 0.5 if usual % 1.0 else 0.0)
+    return round(usual) if float(np.mean(even)) >= _REGULAR else 1
+
+
+_LEAP = 3.0
+"""A jump exceeds this multiple of the largest usual step of a displacement."""
+
+
+def jumps(values: Array) -> int:
+    """Number of steps of a displacement (n,) that no motion explains: samples are missing."""
+    steps = np.abs(np.diff(values))
+    usual = float(np.quantile(steps, 0.99))
+    return int(np.count_nonzero(steps > max(_LEAP * usual, _OUTLIER * white_noise(values))))
 
 
 # -- disturbances that stand apart -----------------------------------------------------------
@@ -191,6 +217,11 @@ _APART = 3.0
 SIDEBANDS, _ANSWERED = 5.0, 2.0
 """Distance of the sidebands of a line, in multiples of the fastest motion, and the factor by which
 a channel that answers the line exceeds its harmonics beyond."""
+
+
+_STOPPED, _RINGING = 0.08, 2.0
+"""Smallest half-width of a filter, relative to its frequency, and length of the samples that
+continue the channel at its ends, in periods of the half-width."""
 
 
 class Line(NamedTuple):
@@ -280,7 +311,10 @@ def without_lines(values: Array, lines: list[Line], period: float) -> Array:
     from scipy.signal import butter, sosfiltfilt  # imported late: see entry_points
 
     for line in lines:
-        band = np.array([-2.0, 2.0]) * line.width + line.frequency
-        band = np.clip(band, 0.2 * line.frequency, 0.499 / period)
-        values = sosfiltfilt(butter(2, band, "bandstop", fs=1.0 / period, output="sos"), values)
+        # A narrow filter would leave the line at both ends of the samples.
+        half = max(2.0 * line.width, _STOPPED * line.frequency)
+        band = np.clip(line.frequency + np.array([-half, half]), 0.1, 0.499 / period)
+        stop = butter(2, band, "bandstop", fs=1.0 / period, output="sos")
+        ends = min(round(_RINGING / (half * period)), values.size - 1)
+        values = sosfiltfilt(stop, values, padlen=ends)
     return np.asarray(values)

@@ -22,6 +22,10 @@ Heating to 70 °C causes a ratio of 1.35.
 """
 
 
+_NO_FORCE = 1e-9
+"""A force [N] by which can be divided."""
+
+
 def current_findings(runs: Mapping[str, Sequence[Window]]) -> list[Finding]:
     """Findings on currents that are inconsistent with the heights of the loops, by run.
 
@@ -79,7 +83,7 @@ def _within(table: Array) -> list[Finding]:
     _, currents, every = table.T
     for current in np.unique(np.round(currents / SAME_CURRENT)) * SAME_CURRENT:
         heights = np.sort(every[np.abs(currents - current) <= SAME_CURRENT])
-        if heights.size >= 4 and heights[-2] > _CONTRADICTING * heights[1]:
+        if heights.size >= 4 and heights[-2] > _CONTRADICTING * heights[1] > 0.0:
             ratio, ends = heights[-2] / heights[1], {"low": heights[1], "high": heights[-2]}
             return [Kind.SEVERAL_CURRENTS.found("current", value=ratio, current=current, **ends)]
     return []
@@ -94,8 +98,9 @@ def _ratio(one: tuple[float, float, float], two: tuple[float, float, float]) -> 
     if abs(v1 - v2) > 0.2 * max(v1, v2):
         return 0.0
     if abs(i1 - i2) <= SAME_CURRENT:
-        return max(f1, f2) / min(f1, f2)
-    return f1 / f2 if i1 < i2 else f2 / f1
+        return max(f1, f2) / max(min(f1, f2), _NO_FORCE)
+    weak, strong = (f1, f2) if i1 < i2 else (f2, f1)
+    return weak / max(strong, _NO_FORCE)
 
 
 _LATEST, _STEP = 0.3, 0.01
@@ -107,7 +112,7 @@ _PARTS = 10
 _SAMPLES = 4000
 """Approximate number of samples of a window that are compared."""
 
-_FOLLOWS, _PRECEDES = 0.03, 0.01
+_FOLLOWS, _PRECEDES = 0.04, 0.01
 """Delay [s] with which the field of a damper may follow its current, and by which a force seems to
 precede its current because of the error of the law."""
 

@@ -150,8 +150,13 @@ class Kind(Enum):
         "the {channel} is quantised in steps of {step:.3g} {unit}: choose a smaller range or more "
         "bits",
     )
+    MISSING = (
+        WARN,
+        "the {channel} jumps {count} times, which no motion explains: were samples lost? Record "
+        "the time of each sample",
+    )
     SMOOTHED = (
-        NOTE,
+        WARN,
         "the {channel} was smoothed by a moving average over {count} samples, which distorts fast "
         "motions: undo it with mr-damper import --undo-moving-average {count}; the record must "
         "begin at rest",
@@ -222,6 +227,17 @@ class Kind(Enum):
         NOTE,
         "the law {other} explains the runs with an NRMSE of {better:.1%}, {model} with "
         "{nrmse:.1%}: choose it (--model {other}), or let the data choose (--model auto)",
+    )
+    ZERO_CHANGES = (
+        WARN,
+        "the zero of the force changes by {step:+.3g} N at once within the run: was the load cell "
+        "zeroed, or does it stick? Cut the run there",
+    )
+    GAIN_CHANGES = (
+        WARN,
+        "the force changes by {step:+.0%} at once within the run, at the same motion: does the "
+        "record hold several currents, or another damper? Cut the run there (mr-damper import "
+        "--split)",
     )
     UNEXPLAINED = (
         WARN,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mr_damper_ros.data_check.findings import REFUSE, Finding, Kind
+from mr_damper_ros.data_check.lag import motion_frequency
 from mr_damper_ros.data_check.samples import (
     Samples,
     check_samples,
@@ -56,6 +57,11 @@ def check_run(recordings: Sequence[Recording], *, mend: bool = True) -> CheckedR
     """
     found: list[Finding] = []
     whole = [each for each in recordings if holds_cycle(each.displacement)]
+    if whole:
+        # In a fragment, noise may look like a cycle.
+        main = max(whole, key=lambda each: each.sample_count)
+        cycle = 1.0 / max(motion_frequency(main.displacement, main.period), 1e-9)
+        whole = [each for each in whole if each is main or each.duration >= cycle]
     used = tuple(whole if whole and mend else recordings)
     if not whole:
         found.append(Kind.SHORT.found())

@@ -16,6 +16,7 @@ from mr_damper_ros.data_check.channels import (
     coarse_step,
     extent,
     held_steps,
+    jumps,
     longest,
     spikes,
     stretches,
@@ -45,6 +46,9 @@ _SMALLEST_MOTION = 1e-4
 
 _LARGEST_SPEED = 5.0
 """Largest plausible root mean square of the velocity [m/s]."""
+
+_WITHOUT_SPIKES = 0.99
+"""Fraction of the samples whose largest force counts, because spikes may be larger."""
 
 SMALLEST_FORCE, _UNUSUAL_FORCE = 5.0, 1e5
 """Smallest plausible peak force [N], and the largest that is usual: the few larger MR dampers are
@@ -81,6 +85,15 @@ standard error [s] of a known skew."""
 _EARLY, _HEAVIEST = 1e-3, 50.0
 """Smallest lead [s] of the force that is reported, and the largest mass [kg] between load cell and
 damper whose inertia may be its cause."""
+
+_LITTLE = 0.04
+"""Height cut off by clipping that does not matter, relative to half the range."""
+
+_RENEWALS = 15
+"""Smallest number of renewals in a cycle with which a channel that is held can be bridged."""
+
+_GROSS = {Kind.COARSE: 0.2, Kind.NOISE: 0.25}
+"""Resolution and noise, relative to the standard deviation, above which they are warned of."""
 
 _MOST_GLITCHES = 0.05
 """Largest fraction of wrong readings in a current that can be bridged."""
@@ -122,12 +135,16 @@ def check_samples(given: Samples, *, mend: bool = True) -> Checked:
         return Checked(given, impossible)
     if given.force.size < _ENOUGH:
         return Checked(given, (*impossible, *_sign_findings(given)))
-    if _exchanged(given.displacement, given.force):
+    inverted = tuple(_sign_findings(given))
+    # With exchanged channels, the loop runs the other way round.
+    if inverted and _exchanged(given.displacement, given.force):
         return Checked(given, (Kind.SWAPPED.found(),))
     samples, found = _mended(given, mend=mend)
-    if (count := find_average(given.force)) > 1:
-        found.append(Kind.SMOOTHED.found("force", value=count, count=count))
-    return Checked(samples, (*impossible, *found, *_quality(samples), *_motion_findings(samples)))
+    for name in ("displacement", "force"):
+        if (count := find_average(getattr(given, name))) > 1:
+            found.append(Kind.SMOOTHED.found(name, value=count, count=count))
+    of_motion = inverted or tuple(_lag_findings(samples))
+    return Checked(samples, (*impossible, *found, *_quality(samples), *of_motion))
 
 
 def check_window(given: Samples, *, moves: bool) -> Checked:
@@ -152,23 +169,23 @@ def unit_findings(samples: Samples, *, moves: bool = True) -> Iterator[Finding]:
     """Findings on values that no damper gives in SI units."""
     if not _PERIODS[0] <= samples.period <= _PERIODS[1]:
         yield _wrong_unit("time", "has a sample period of", samples.period, "another unit", "s")
-    span, usual = float(np.ptp(samples.displacement)), 2.0 * extent(samples.displacement)[1]
+    span = 2.0 * extent(samples.displacement)[1]
     speed = float(np.sqrt(np.mean(np.diff(samples.displacement) ** 2))) / samples.period
     if span > LARGEST_MOTION:
         yield _wrong_unit("displacement", "spans", span, "millimetres")
-    elif moves and usual < _SMALLEST_MOTION:
-        if usual <= NOISE_SPAN * white_noise(samples.displacement):
-            yield Kind.AT_REST.found("displacement", value=usual, span=usual, unit="m")
+    elif moves and span < _SMALLEST_MOTION:
+        if span <= NOISE_SPAN * white_noise(samples.displacement):
+            yield Kind.AT_REST.found("displacement", value=span, span=span, unit="m")
         else:
-            yield _wrong_unit("displacement", "spans only", usual, "metres")
+            yield _wrong_unit("displacement", "spans only", span, "metres")
     elif speed > _LARGEST_SPEED:
         yield _wrong_unit("time", "lets the rod move at", speed, "another unit", "m/s on average")
-    largest = float(np.max(np.abs(samples.force)))
+    largest = float(np.quantile(np.abs(samples.force), _WITHOUT_SPIKES))
     if largest > LARGEST_FORCE:
         yield _wrong_unit("force", "reaches", largest, "another unit")
     elif moves and 0.0 < largest < SMALLEST_FORCE:
         yield _wrong_unit("force", "reaches only", largest, "kilonewtons")
-    elif float(np.quantile(np.abs(samples.force), 0.99)) > _UNUSUAL_FORCE:
+    elif largest > _UNUSUAL_FORCE:
         unusual = _wrong_unit("force", "reaches", largest, "another unit")
         yield replace(unusual, severity=WARN)
     largest = float(np.max(np.abs(samples.current)))
@@ -196,15 +213,21 @@ def _stuck(samples: Samples) -> Iterator[Finding]:
     if np.ptp(force) == 0.0:
         yield Kind.STUCK.found("force", how="does not change")
         return
-    same = longest(stretches(np.diff(force) == 0.0))
-    start, stop = same.start, same.stop + 1
-    if stop - start < TURN * force.size or clipped_at(force):
-        return
-    stretch = displacement[start:stop]
-    ends, extremes = stretch[[0, -1]], (stretch.max(), stretch.min())
-    way_back = max(float(np.min(np.abs(ends - extreme))) for extreme in extremes)
-    if way_back > TURN * float(np.ptp(displacement)):
-        yield Kind.STUCK.found("force", how="is constant although the motion reverses")
+    for name, values, other in (
+        ("force", force, displacement),
+        ("displacement", displacement, force),
+    ):
+        same = longest(stretches(np.diff(values) == 0.0))
+        start, stop = same.start, same.stop + 1
+        constant = np.ptp(values) == 0.0
+        if constant or stop - start < TURN * force.size or clipped_at(values):
+            continue
+        stretch = other[start:stop]
+        ends, extremes = stretch[[0, -1]], (stretch.max(), stretch.min())
+        way_back = max(float(np.min(np.abs(ends - extreme))) for extreme in extremes)
+        if way_back > TURN * float(np.ptp(other)):
+            what = "motion" if name == "force" else "force"
+            yield Kind.STUCK.found(name, how=f"is constant although the {what} reverses")
 
 
 def _exchanged(displacement: Array, force: Array) -> bool:
@@ -234,13 +257,18 @@ def _mended(given: Samples, *, mend: bool) -> tuple[Samples, list[Finding]]:
         if coarse_step(values):
             continue
         if limits := clipped_at(values):
-            where = " and ".join(f"{limit:.4g}" for limit in limits)
-            found.append(Kind.CLIPPED.found(name, how=f" at {where} {UNITS[name]}"))
+            where = " and ".join(f"{limit.extreme:.4g}" for limit in limits)
+            cut = max(limit.cut for limit in limits)
+            clipped = Kind.CLIPPED.found(name, value=cut, how=f" at {where} {UNITS[name]}")
+            if cut <= _LITTLE * extent(values)[1]:
+                clipped = replace(clipped.mended("little is cut off"), severity=NOTE)
+            found.append(clipped)
             continue
         fault, bridged = _bridged(name, values, cycle)
         if fault is None:
             continue
-        found.append(fault.mended("a fit bridges them by straight lines") if mend else fault)
+        coarse = fault.kind is Kind.HELD and cycle < _RENEWALS * fault.value
+        found.append(fault if coarse or not mend else fault.mended("a fit bridges them"))
         if mend:
             samples = replace(samples, **{name: bridged})  # type: ignore[arg-type]
     glitches, current = _without_glitches(given.current)
@@ -259,6 +287,9 @@ def _mended(given: Samples, *, mend: bool) -> tuple[Samples, list[Finding]]:
             frequency=line.frequency,
         )
         found.append(hum.mended("a fit filters it, without a shift in time") if mend else hum)
+    mended = mend or not any(each.kind is Kind.SPIKES for each in found)
+    if mended and (count := jumps(samples.displacement)):
+        found.append(Kind.MISSING.found("displacement", value=count, count=count))
     if lines and mend:
         quiet = without_lines(samples.displacement, lines, samples.period)
         samples = replace(samples, displacement=quiet)
@@ -281,7 +312,13 @@ def _bridged(name: str, values: Array, cycle: float) -> tuple[Finding | None, Ar
     if step == 1:
         return None, values
     renewed = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
-    return Kind.HELD.found(name, value=step, step=step), np.interp(places, renewed, values[renewed])
+    found = Kind.HELD.found(name, value=step, step=step)
+    if name == "force":
+        return found, np.interp(places, renewed, values[renewed])
+    from scipy.interpolate import CubicSpline  # imported late: see entry_points
+
+    between = CubicSpline(renewed, values[renewed])(np.minimum(places, renewed[-1]))
+    return found, np.asarray(between)
 
 
 def _without_glitches(current: Array) -> tuple[Finding | None, Array]:
@@ -339,10 +376,14 @@ def _quality(samples: Samples) -> Iterator[Finding]:
         spread, noise = float(np.std(values)), white_noise(values)
         part, least = _NOISY[name]
         if step := coarse_step(values):
-            yield Kind.COARSE.found(name, value=step, step=step, unit=UNITS[name])
+            found = Kind.COARSE.found(name, value=step, step=step, unit=UNITS[name])
         elif noise > max(part * spread, least):
             share = noise / spread
-            yield Kind.NOISE.found(name, value=noise, noise=noise, unit=UNITS[name], share=share)
+            found = Kind.NOISE.found(name, value=noise, noise=noise, unit=UNITS[name], share=share)
+        else:
+            continue
+        gross = found.value > _GROSS[found.kind] * spread
+        yield replace(found, severity=WARN if gross else NOTE)
     force, moved = samples.force, Spectrum(samples.displacement, samples.period)
     for line in Spectrum(force, samples.period).standing_apart(moved.fastest):
         large = line.amplitude > _HUM_OF_FORCE * float(np.std(force))
@@ -369,11 +410,7 @@ def _quality(samples: Samples) -> Iterator[Finding]:
 # -- motion and force ------------------------------------------------------------------------
 
 
-def _motion_findings(samples: Samples) -> Iterator[Finding]:
-    inverted = list(_sign_findings(samples))
-    if inverted:
-        yield from inverted
-        return
+def _lag_findings(samples: Samples) -> Iterator[Finding]:
     displacement, force, period = samples.displacement, samples.force, samples.period
     lead = force_lead(displacement, force, period)
     if lead.seconds > max(_EARLY, SIGMAS * lead.error) and lead.mass > _HEAVIEST:

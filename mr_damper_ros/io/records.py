@@ -39,10 +39,13 @@ _SHORT = 0.25
 _FEW = 0.05
 """Largest fraction of short steps in a record that is otherwise uniform."""
 
+_BRIDGED = 5.0
+"""Longest time step that is bridged by interpolation, in median steps."""
+
 _EPOCH = 1e9
 """Times above this value [s] are relative to 1970, smaller ones to the start of the record."""
 
-_VELOCITY_TOLERANCE = 2.0
+_VELOCITY_TOLERANCE = 1.2
 """Largest ratio between a velocity column and the derivative of the displacement."""
 
 _AVERAGED = {"displacement", "velocity", "force"}
@@ -162,7 +165,7 @@ class SampledRecord:
                 f"{self.place(self.blocks[0])} on, and no column holds the time: cut it into its "
                 "runs (mr-damper import --split)"
             )
-        uniform = self._without_short_steps() if self.period is None else None
+        uniform = self._at_uniform_times() if self.period is None else None
         if uniform is not None:
             return uniform.recording(current, name)
         velocity = self.values.get("velocity")
@@ -190,22 +193,28 @@ class SampledRecord:
             _check_velocity(recording, velocity)
         return recording
 
-    def _without_short_steps(self) -> SampledRecord | None:
-        """The record at uniform times, if a few steps are shorter than all others.
+    def _at_uniform_times(self) -> SampledRecord | None:
+        """The record at uniform times, if its steps are neither uniform nor long.
 
-        Test machines add a sample at the end of a segment. None if there is no such step, or if
-        the sampling is not uniform otherwise.
+        Test machines add a sample at the end of a segment, loggers lose samples, and change their
+        rate. None if the steps are uniform, or one is too long to be bridged.
         """
         steps = np.diff(self.time)
         if steps.size < 2 or np.any(steps <= 0.0):
             return None
         usual = float(np.median(steps))
-        short = steps < (1.0 - _SHORT) * usual
-        others = np.abs(steps[~short] - usual) > _SHORT * usual
-        if not 0 < np.count_nonzero(short) <= _FEW * steps.size + 1.0 or np.any(others):
+        others = np.abs(steps - usual) > _SHORT * usual
+        even = self.time[0] + np.arange(self.time.size) * float(np.mean(steps))
+        jitters = float(np.max(np.abs(self.time - even))) <= _GAP * usual
+        few_short = np.all(steps[others] < usual) and np.count_nonzero(others) > 0
+        few_short = few_short and np.count_nonzero(others) <= _FEW * steps.size + 1.0
+        if steps.max() > _BRIDGED * usual:
+            return None
+        if not few_short and jitters and steps.max() <= _GAP * usual:
             return None
         # Two steps around an additional sample make one.
-        whole = _plain(float(np.sum(steps[~short])), int(np.count_nonzero(~short)), 0.01 * usual)
+        kept = steps[~others]
+        whole = _plain(float(np.sum(kept)), kept.size, 0.01 * usual) if few_short else usual
         time = np.arange(self.time[0], self.time[-1] + 1e-6 * whole, whole)
         values = {}
         for quantity, array in self.values.items():
@@ -216,7 +225,7 @@ class SampledRecord:
             else:
                 values[quantity] = np.interp(time, self.time, array)
         note = (
-            f"{np.count_nonzero(short)} of {steps.size} steps of the time are shorter than "
+            f"{np.count_nonzero(others)} of {steps.size} steps of the time differ from "
             f"{whole:.6g} s: the samples were interpolated to uniform times"
         )
         notes = [*filter(None, [self.details.get("note")]), note]

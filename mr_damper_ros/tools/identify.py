@@ -9,7 +9,8 @@ import argparse
 from typing import Any
 
 from mr_damper_ros.api.details import Details, searches
-from mr_damper_ros.api.identification import AUTO, LARGEST_RUN_NRMSE, Identification, identify
+from mr_damper_ros.api.identification import AUTO, Identification, identify
+from mr_damper_ros.api.poor_fit import LARGEST_NRMSE
 from mr_damper_ros.estimation.differential_evolution import STRATEGIES
 from mr_damper_ros.estimation.experiment_design import MachineLimits
 from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
@@ -26,7 +27,7 @@ _OPTIONS = (
 
 _EPILOG = f"""\
 Exit code: 0: success; {DOUBTFUL}: all results are written, but there is a warning, such
-as an NRMSE above {100 * LARGEST_RUN_NRMSE:.0f} % (0 with --accept-doubtful);
+as an NRMSE above {100 * LARGEST_NRMSE:.0f} % (0 with --accept-doubtful);
 {FAILED}: a bag or an option cannot be used; {INTERRUPTED}: Ctrl-C was pressed twice,
 or after the search; {UNREAD}: the output was closed before its end, and files may be
 missing.
