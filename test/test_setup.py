@@ -68,7 +68,7 @@ def test_a_folder_that_cannot_be_written_is_refused(place: Path) -> None:
 
 
 def test_every_pinned_package_has_a_hash() -> None:
-    for name in ("constraints.txt", "doc.txt", "noble.txt"):
+    for name in ("constraints.txt", "dev.txt", "doc.txt", "noble.txt"):
         text = (ROOT / "requirements" / name).read_text(encoding="utf-8")
         entries = text.replace(" \\\n", " ").splitlines()[1:]
         assert len(entries) > 20
