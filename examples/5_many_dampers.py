@@ -59,11 +59,13 @@ def stand_out(values: pd.Series) -> pd.Series:
 
 # %%
 if __name__ == "__main__":  # the processes of the cluster load this file, too
-    # By default, Dask lets its workers return memory at once and profiles them, which costs time.
-    # More than one thread in BLAS costs time, too.
+    # By default, Dask lets its workers return memory at once, profiles them, and checks them every
+    # 20 to 100 ms, which costs time. More than one thread in BLAS costs time, too.
     environment = {"OMP_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
     dask.config.set({"distributed.nanny.pre-spawn-environ": environment})
     dask.config.set({"distributed.worker.profile.enabled": False})
+    dask.config.set({"distributed.admin.tick.interval": "1s"})
+    dask.config.set({"distributed.worker.memory.monitor-interval": "1s"})
     strengths = np.linspace(0.97, 1.03, 12)
     strengths[7] = 0.8
     recordings = [recorded(number, strength) for number, strength in enumerate(strengths)]
