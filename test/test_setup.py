@@ -75,6 +75,15 @@ def test_every_pinned_package_has_a_hash() -> None:
         assert [entry for entry in entries if "--hash=sha256:" not in entry] == []
 
 
+def test_the_tools_replace_no_package_of_the_programs() -> None:
+    packages = []
+    for name in ("constraints.txt", "dev.txt"):
+        lines = (ROOT / "requirements" / name).read_text(encoding="utf-8").splitlines()
+        packages.append({line.partition("==")[0] for line in lines if "==" in line})
+    assert all(len(names) > 20 for names in packages)
+    assert packages[0] & packages[1] == set()
+
+
 @pytest.mark.skipif(not (ROOT / "install").exists(), reason="nothing is built")
 def test_foreign_packages_do_not_take_the_place_of_the_environment(place: Path) -> None:
     if os.environ.get("ROS_DISTRO"):
