@@ -51,6 +51,17 @@ def propose_columns(path: Path, variable: str | None = None, timed: bool = False
     return _proposal(outline, timed)
 
 
+def reversed_force(columns: str) -> str:
+    """A description of columns with the other sign of the force."""
+    return _FORCE.sub(
+        lambda found: f"{found[1]}-{found[2] if '*' in found[2] else f'1*{found[2]}'}", columns
+    )
+
+
+_FORCE = re.compile(r'((?:^|,)force(?:=(?:"[^"]*"|[^,]*))?:)([^,:]*)(?=,|$)')
+"""The entry of the force in a description, up to its unit, and the unit."""
+
+
 def _proposal(outline: Outline, timed: bool) -> Proposal:
     chosen: dict[str, int] = {}
     remarks, missing = [], []

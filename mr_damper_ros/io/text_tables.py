@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from functools import lru_cache
+from itertools import repeat
 from pathlib import Path
 from typing import TextIO, TypeVar
 
@@ -552,7 +553,7 @@ class TextFile:
         """Numbers (n, columns) of a block of regular rows; None if there is any other line."""
         separator, width = self._separator, outline.width
         if separator:
-            if max(line.count(separator) for line in lines) >= width:
+            if max(map(str.count, lines, repeat(separator))) >= width:
                 return None
         elif any(len(line.split()) != width for line in lines):
             return None

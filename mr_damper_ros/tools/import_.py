@@ -10,17 +10,18 @@ import argparse
 import shlex
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mr_damper_ros.api.identification import identify
-from mr_damper_ros.data_check.findings import NOTE, Finding, labelled
-from mr_damper_ros.data_check.recordings import usable_run
+from mr_damper_ros.data_check.findings import NOTE, Finding, Kind, labelled
+from mr_damper_ros.data_check.recordings import check_run, usable_run
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.io.columns import UNITS, RecordError
-from mr_damper_ros.io.proposals import Proposal, propose_columns, unit_text
+from mr_damper_ros.io.proposals import Proposal, propose_columns, reversed_force, unit_text
 from mr_damper_ros.io.records import RunsOfFile, read_record
 from mr_damper_ros.io.text_tables import TextOptions
 from mr_damper_ros.processes.exits import DOUBTFUL
@@ -127,17 +128,14 @@ def _propose(options: argparse.Namespace) -> int:
     unknown = "current" not in proposal.quantities and "current" not in given
     if unknown:
         given["current"] = 0.0
-    reason, split = "; ".join(proposal.missing), False
+    reason, columns, more = "; ".join(proposal.missing), proposal.columns, list[str]()
     if not reason:
-        reason, split = _tried(path, proposal, given)
-    command = ["mr-damper", "import", str(path), "--columns", proposal.columns]
+        reason, columns, more = _tried(path, columns, given)
+    command = ["mr-damper", "import", str(path), "--columns", columns]
     for name, value in given.items():
-        command += [
-            f"--{name.replace('_', '-')}",
-            str(value) if name != "current" else f"{value:g}",
-        ]
-    command += ["--split"] if split else []
-    command += ["--output", str(Path("bags", path.stem))]
+        text = f"{value:.9g}" if isinstance(value, float) else value
+        command += [f"--{name.replace('_', '-')}", text]
+    command += [*more, "--output", str(Path("bags", path.stem))]
     print(f"the command{', to be completed' if reason else ''}:\n\n  {shlex.join(command)}\n")
     if reason:
         raise RecordError(f"{path.name} cannot be imported as it stands: {reason}")
@@ -150,28 +148,51 @@ def _propose(options: argparse.Namespace) -> int:
     return 0
 
 
-def _tried(path: Path, proposal: Proposal, given: dict[str, Any]) -> tuple[str, bool]:
-    """Why the file cannot be read with the proposed columns, and whether it must be split."""
+def _tried(path: Path, columns: str, given: dict[str, Any]) -> tuple[str, str, list[str]]:
+    """Why a file cannot be read; else the columns with the signs of a damper, and more options."""
+    more: list[str] = []
     try:
-        read_record(path, proposal.columns, **given)
+        recordings = [read_record(path, columns, **given)]
     except ValueError as error:
         single = str(error)
-    else:
-        return "", False
-    try:
-        runs = RunsOfFile(
-            path,
-            proposal.columns,
-            given.get("period"),
-            given.get("variable"),
-            text=TextOptions(given.get("decimal_mark")),
+        try:
+            recordings = _runs_of(path, columns, given)
+        except ValueError as other:
+            return (str(other) if "--split" in single else single), columns, more
+        more.append("--split")
+    findings = _doubts(recordings)
+    if any(finding.kind is Kind.INVERTED for finding in findings):
+        print(
+            "note: with the signs of the file the force drives the motion, so the command reverses "
+            "the force: reverse the displacement instead if it is positive in compression"
         )
-        runs.recordings(given.get("current"))
-    except ValueError as error:
-        return (str(error) if "--split" in single else single), False
+        columns = reversed_force(columns)
+        recordings = [replace(each, force=-each.force) for each in recordings]
+        findings = _doubts(recordings)
+    for sentence in dict.fromkeys(str(finding.sentence) for finding in findings):
+        print(f"the check of the data finds: {sentence}")
+    if findings:
+        print("The command accepts these findings (--accept-doubtful).")
+        more.append("--accept-doubtful")
+    for recording in recordings:
+        if np.ptp(recording.displacement) == 0.0 or np.ptp(recording.force) == 0.0:
+            return f"the displacement or the force of {recording.name} is constant", columns, more
+    return "", columns, more
+
+
+def _runs_of(path: Path, columns: str, given: dict[str, Any]) -> list[Recording]:
+    """The runs of a file; prints a list of them."""
+    text = TextOptions(given.get("decimal_mark"))
+    runs = RunsOfFile(path, columns, given.get("period"), given.get("variable"), text=text)
+    recordings = runs.recordings(given.get("current"))
     print(f"{path.name} holds {len(runs.summaries)} runs:")
     print("\n".join(f"  {number}: {text}" for number, text in enumerate(runs.summaries, start=1)))
-    return "", True
+    return recordings
+
+
+def _doubts(recordings: list[Recording]) -> list[Finding]:
+    """The findings on recordings that need acceptance."""
+    return [f for each in recordings for f in check_run([each]).findings if f.severity > NOTE]
 
 
 _SHOWN_ROWS = 3

@@ -264,6 +264,33 @@ def test_what_a_file_does_not_say_is_not_guessed(
     assert "column  heading" in said.out
 
 
+def test_a_force_of_the_other_sign_is_reversed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    head = 'Time (s),Stroke (mm),"Load(8800 (0,1):Load) (kN)"'
+    path = saved(tmp_path, [head, *rows(TIME, STROKE, -FORCE / 1e3)], "run.csv")
+    command = proposed(path, capsys)
+    assert command[2].endswith('force="Load(8800 (0,1):Load) (kN)":-1*kN')
+    assert import_.main(command) == 0
+    (run,) = read_bag(tmp_path / "bags" / "run")
+    np.testing.assert_allclose(run.force, FORCE, rtol=0.0, atol=1e-3)
+
+
+def test_findings_on_the_data_are_shown_and_accepted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    data = rows(TIME, 0.003 * STROKE, FORCE, form=".8f")
+    path = saved(tmp_path, ["Time (s),Stroke (mm),Load (N)", *data], "run.csv")
+    assert import_.main([str(path)]) == 0
+    shown = capsys.readouterr().out
+    assert "the check of the data finds: the displacement spans only" in shown
+    line = next(text for text in shown.splitlines() if text.startswith("  mr-damper import"))
+    assert "--accept-doubtful" in line
+    assert import_.main(shlex.split(line)[2:]) == 0
+
+
 def test_a_column_of_the_current_is_proposed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
