@@ -54,6 +54,10 @@ class DamageError(ValueError):
     """A file of a bag is damaged; the message gives the reason."""
 
 
+class UnknownFormatError(ValueError):
+    """A file of a bag has a form that is not known; the message names it."""
+
+
 _NO_SPAN = 2**63, 0
 """First and last recording time [ns] of no messages."""
 
@@ -315,7 +319,7 @@ def _unpacked(chunk: bytes) -> bytes:
     elif compression == "lz4":
         unpacker = LZ4FrameFile(BytesIO(data))
     elif compression:
-        raise DamageError(f"the compression '{compression}' of its chunks is unknown")
+        raise UnknownFormatError(f"its chunks are compressed with '{compression}'")
     else:
         unpacker = BytesIO(data)
     try:
@@ -478,9 +482,14 @@ def _state_of_wal(base: sqlite3.Connection, wal: Path) -> str:
 
 @contextmanager
 def damage_in_words(bag: str, file: Path) -> Iterator[None]:
-    """Convert damage of a file to a BagError about the bag."""
+    """Convert damage of a file, and unknown forms, to a BagError about the bag."""
     try:
         yield
+    except UnknownFormatError as error:
+        raise BagError(
+            f"the bag '{bag}' cannot be read: {file.name} has an unknown form ({error}); convert "
+            "the bag with ros2 bag convert"
+        ) from error
     except DamageError as error:
         remedy = "repair it with 'mcap recover'"
         if file.suffix == ".db3":

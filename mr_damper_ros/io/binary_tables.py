@@ -143,6 +143,9 @@ def text_of_sheet(path: Path, variable: str | None, maximum_samples: int) -> Tex
     )
 
 
+_SAME_END = 0.5
+"""Largest difference of two ends, in sample periods, of channels with the same period."""
+
 _SAME_START = 0.01
 """Largest difference of two starts, in sample periods, that is neglected."""
 
@@ -159,7 +162,9 @@ def _aligned(
     notes = (group.note,) if group.note else ()
     stated = {n: group.periods[n] for n in names if group.periods.get(n, 0.0) > 0.0}
     period = next(iter(stated.values())) if len(stated) == len(names) else None
-    if stated and max(stated.values()) > (1.0 + 1e-9) * min(stated.values()):
+    longest = max(values.size for values in rows.values())
+    # Rounded to few digits, periods of one clock differ.
+    if stated and (max(stated.values()) / min(stated.values()) - 1.0) * longest > _SAME_END:
         listed = ", ".join(f"{name} {each:.6g} s" for name, each in stated.items())
         raise RecordError(
             f"the chosen {kind}s of {file} have different sample periods: {listed}; choose {kind}s "
@@ -445,14 +450,17 @@ def _channels(file: BinaryIO, variable: str | None, most_samples: int) -> list[G
             if any(len(channel) > most_samples for channel in channels):
                 raise MemoryError
             columns = {channel.name: _floats(channel[:]) for channel in channels}
-            periods, starts, note = {}, {}, ""
+            periods, note = {}, ""
+            starts: dict[str, int] = {}
+            offsets: dict[str, int] = {}
             for channel in channels:
                 given = channel.properties
                 periods[channel.name] = float(given.get("wf_increment", math.nan))
-                start = given.get("wf_start_time")
                 offset = round(1e9 * float(given.get("wf_start_offset", 0.0)))
-                if start is not None or offset:
-                    origin = np.datetime64(start or 0, "ns").astype(np.int64)
+                # A start that is not set is missing, or the origin of LabVIEW in 1904.
+                origin = np.datetime64(given.get("wf_start_time") or 0, "ns").astype(np.int64)
+                offsets[channel.name] = offset
+                if origin > 0:
                     starts[channel.name] = int(origin) + offset
             sizes = {values.size for values in columns.values()}
             if cut and channels:
@@ -463,7 +471,8 @@ def _channels(file: BinaryIO, variable: str | None, most_samples: int) -> list[G
                     f"{min(sizes)} samples were read"
                 )
             if channels:
-                groups.append(Group(each.name, each.name, columns, periods, starts, note=note))
+                begins = starts or offsets
+                groups.append(Group(each.name, each.name, columns, periods, begins, note=note))
         return groups
 
 

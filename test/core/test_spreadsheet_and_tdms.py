@@ -189,10 +189,42 @@ def test_channels_that_start_at_different_times_are_aligned(
 
 
 @with_nptdms
+@pytest.mark.parametrize("late", [0.0, 0.25])
+def test_a_start_that_is_not_set_is_no_start(tmp_path: Path, late: float) -> None:
+    from nptdms import ChannelObject, TdmsWriter
+
+    unset = {"wf_start_time": np.datetime64("1904-01-01T00:00:00"), "wf_increment": 0.01}
+    offset = {**unset, "wf_start_offset": late}
+    known = {**unset, "wf_start_time": np.datetime64("2024-05-02T10:00:00")}
+    with TdmsWriter(tmp_path / "run.tdms") as writer:
+        writer.write_segment(
+            [
+                ChannelObject("Run", name, values, properties=given)
+                for name, values, given in (
+                    ("Stroke", DISPLACEMENT, unset),
+                    ("Load", FORCE, offset),
+                    ("Current", np.ones(200), known if not late else offset),
+                )
+            ]
+        )
+    columns = "displacement=Stroke:mm,force=Load:N,current=Current:A"
+    read = read_record(tmp_path / "run.tdms", columns)
+    assert read.sample_count == 200 - round(late / 0.01)
+
+
+@with_nptdms
 def test_channels_of_different_rates_are_refused(tmp_path: Path) -> None:
     path = waveforms(tmp_path / "run.tdms", {"Stroke": 0.0, "Load": 0.0}, False, (0.01, 0.02))
     sentence = refused(path, "displacement=Stroke:mm,force=Load:N", period=0.01)
     assert "different sample periods: Stroke 0.01 s, Load 0.02 s" in sentence
+
+
+@with_nptdms
+def test_periods_that_differ_by_their_rounding_are_the_same(tmp_path: Path) -> None:
+    rounded = float(np.float32(0.01))
+    path = waveforms(tmp_path / "run.tdms", {"Stroke": 0.0, "Load": 0.0}, False, (0.01, rounded))
+    read = read_record(path, "displacement=Stroke:mm,force=Load:N", current=0.5)
+    assert read.sample_count == 200
 
 
 @with_nptdms
