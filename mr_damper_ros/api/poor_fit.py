@@ -18,7 +18,7 @@ LARGEST_NRMSE = 0.3
 """Largest acceptable NRMSE of a run; above it, the set explains too little of the force."""
 
 _POOR = 0.08
-"""NRMSE above which causes are looked for."""
+"""NRMSE above which fits of other laws and at other times are tried."""
 
 _MUCH_BETTER = 0.6
 """A cause is named if the NRMSE without it is at most this part of the NRMSE with it."""
@@ -45,12 +45,12 @@ def causes_of(found: ParameterSet, window: Window, nrmse: float) -> list[Finding
     The trials fit the unknowns of one window. A shift in time can be told only from a motion of
     several frequencies, since in a sine the hysteresis makes up for it.
     """
-    if nrmse <= _POOR:
-        return []
     findings = _steps(found, window)
+    if findings or nrmse <= _POOR:
+        return findings
     here = _nrmse(found.model, window)
-    if not findings and window.motion.sine is None:
-        findings += _shift(found.model, window, here)
+    if window.motion.sine is None:
+        findings = _shift(found.model, window, here)
     return findings or _other_law(found.model, window, here, nrmse)
 
 

@@ -150,8 +150,10 @@ def spikes(values: Array, samples_per_cycle: float) -> Mask:
         for place in range(width):
             inside = slice(place + 1, values.size - width + place)
             beyond = np.maximum(values[inside] - high, low - values[inside])
-            usual = _UNUSUAL * float(np.quantile(beyond, _USUAL_PART))
-            marked[inside] |= beyond > max(limit, usual)
+            wild = beyond > limit
+            if wild.any():
+                wild &= beyond > _UNUSUAL * np.quantile(beyond, _USUAL_PART)
+                marked[inside] |= wild
     return marked
 
 

@@ -339,6 +339,57 @@ def test_times_and_temperatures_in_a_wrong_unit_are_refused(
         require_units(recording(sound(), **changes))
 
 
+def test_a_slow_pull_gives_a_result_that_warns() -> None:
+    time = np.arange(1000) * 0.02
+    pulled = 1.6e-4 * time + 4e-7 * np.random.default_rng(0).normal(size=time.size)
+    force = 400.0 * (1.0 - np.exp(-time / 3.0))
+    found = mr.identify(displacement=pulled, force=force, current=0.0, period=0.02)
+    assert Kind.SHORT in [each.kind for each in found.findings]
+    assert not found.success
+
+
+@pytest.mark.parametrize("lost", [20, 100])
+def test_samples_lost_without_a_gap_in_time_are_warned_of(lost: int) -> None:
+    given = sound(name="fast")
+    kept = np.r_[0:1000, 1000 + lost : 3000, 3000 + lost : given.force.size]
+    rows = (values[kept] for values in (given.displacement, given.force, given.current))
+    assert Kind.MISSING in kinds(Samples(*rows, PERIOD))
+
+
+# -- causes of a poor fit ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("late", [-40, 40])
+def test_a_shift_of_the_force_in_random_motion_is_measured(law: str, late: int) -> None:
+    given = sound(law, "random")
+    found = mr.identify(recording(replace(given, force=np.roll(given.force, late))), model=law)
+    skews = [each for each in found.findings if each.kind is Kind.SKEW]
+    assert [each.severity for each in skews] == [WARN]
+    assert abs(skews[0].value - late * PERIOD) < 3.0 * skews[0].error
+
+
+@pytest.mark.parametrize(
+    ("change", "kind"),
+    [(lambda f: f + 200.0, Kind.ZERO_CHANGES), (lambda f: 1.4 * f, Kind.GAIN_CHANGES)],
+)
+def test_a_zero_or_a_gain_that_changes_at_once_is_named(
+    change: Callable[[np.ndarray], np.ndarray], kind: Kind
+) -> None:
+    given = sound(name="random")
+    half = given.force.size // 2
+    force = np.concatenate((given.force[:half], change(given.force[half:])))
+    found = mr.identify(recording(replace(given, force=force)))
+    assert kind in [each.kind for each in found.findings]
+
+
+def test_a_steady_drift_is_no_step() -> None:
+    given = sound(name="random")
+    fading = np.linspace(1.0, 0.75, given.force.size)
+    found = mr.identify(recording(replace(given, force=fading * given.force)))
+    assert found.success
+
+
 # -- the current ---------------------------------------------------------------------------------
 
 
