@@ -1,4 +1,4 @@
-"""Pages generated from the code: force laws, nodes, messages, programs, figures of the law."""
+"""Pages generated from the code: laws, nodes, messages, programs, findings, figures."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from law_figures import coefficient_figure, shape_figure
 from sphinx.ext.autodoc.mock import mock
 
 from mr_damper_ros.__main__ import COMMANDS, main
+from mr_damper_ros.data_check.findings import Kind
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.settings.option_table import options
 
@@ -188,6 +189,24 @@ def programs_page() -> str:
     return "\n".join(parts)
 
 
+def findings_page() -> str:
+    """Every finding of the check of the data, with its severity and its sentence."""
+    rows = [
+        (f"`{kind.name.lower()}`", kind.severity.name.lower(), kind.template.replace("|", "\\|"))
+        for kind in Kind
+    ]
+    return "\n".join(
+        [
+            "# The findings",
+            "",
+            "What follows from a severity: [the check of the data](../data_check.md). Figures "
+            "stand in braces.",
+            "",
+            *_table(("finding", "severity", "sentence"), rows),
+        ]
+    )
+
+
 def _bounds(low: float, high: float) -> str:
     if math.isinf(high):
         return "" if math.isinf(low) else f"at least {low:g}"
@@ -292,6 +311,7 @@ def _generate(app: Any) -> None:
         ("nodes", nodes_page),
         ("messages", messages_page),
         ("programs", programs_page),
+        ("findings", findings_page),
     ):
         _write(folder / f"{name}.md", page())
     coefficient_figure(folder / "coefficients.svg")
