@@ -1,0 +1,149 @@
+"""What the package says of recordings and files: the findings, by name and severity."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mr_damper_ros as mr
+from mr_damper_ros.api.identification import Identification
+from mr_damper_ros.io.bag_reader import TOPICS
+from mr_damper_ros.io.bag_writer import BagStream, _message
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.recording import Recording, TemperatureReading, stream_of
+
+REFUSE, WARN, NOTE = "refuse", "warn", "note"
+
+_NAMES = (
+    ("hum", r"\bhum\b|mains"),
+    ("rate", r"unit of the time|velocity column is|rod moves at|sample period is|sampling rate"),
+    ("unit", r"is it in (?:milli|kelvin)|unit of the (?:force|displacement)|unit row|heading"),
+    ("clipped", r"is clipped"),
+    ("spikes", r"spike|glitch"),
+    ("inverted", r"not dissipative"),
+    ("backward", r"backward"),
+    ("several_currents", r"several currents"),
+    ("contradicting", r"is a current wrong|contradict each other"),
+    ("negative_slope", r"is negative \("),
+    ("stuck", r"stuck|load cell connected|right column|is constant"),
+    ("smoothed", r"moving average"),
+    ("short", r"less than a cycle"),
+    ("uneven_time", r"not uniform|does not increase|instead of [\d.e-]+ s: choose|deviate by"),
+    ("at_rest", r"did not move|below the minimum"),
+    ("unexplained", r"EXPLAINS TOO LITTLE"),
+)
+"""Names of findings by a pattern of their sentences, for errors that have no name."""
+
+
+class Told(NamedTuple):
+    """A finding: its name, its severity and its sentence."""
+
+    name: str
+    severity: str
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Given:
+    """What a user gives: recordings, each a run or several sections of one, or the text of a file.
+
+    ``raw`` are the recordings as a reader without any check would read them; ``options`` are those
+    of ``read_record`` for the ``text`` of the file. ``container``: "list" of runs, or "bag" whose
+    sections they are.
+    """
+
+    raw: Sequence[Recording]
+    text: str = ""
+    options: dict[str, Any] = field(default_factory=dict)
+    model: str = "sigmoid"
+    container: str = "list"
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What the package says and gives; ``result`` is None if it refuses."""
+
+    findings: tuple[Told, ...]
+    result: Identification | None
+
+    @property
+    def named(self) -> frozenset[str]:
+        """Names of the findings that refuse or warn."""
+        return frozenset(each.name for each in self.findings if each.severity != NOTE)
+
+    @property
+    def repaired(self) -> bool:
+        """Whether data were filtered, shifted, weighted or left out, as a note says."""
+        return False
+
+    @property
+    def clean_exit(self) -> bool:
+        """Whether a result is given with the exit code 0."""
+        return self.result is not None and self.result.success
+
+
+def by_sentence(sentence: str, severity: str) -> Told:
+    """A finding by its sentence."""
+    found = (name for name, pattern in _NAMES if re.search(pattern, sentence))
+    return Told(next(found, "unknown"), severity, sentence)
+
+
+def answer(given: Given) -> Answer:
+    """Read and identify as a user would."""
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            recordings = _read(given, Path(folder)) if given.text else given.raw
+            result = mr.identify(*_sources(recordings, given, Path(folder)), model=given.model)
+        except ValueError as error:
+            return Answer((by_sentence(str(error), REFUSE),), None)
+    findings = [by_sentence(remark, WARN) for remark in result.remarks]
+    findings += [
+        by_sentence(note, NOTE)
+        for each in recordings
+        for note in each.details.get("note", "").split("; ")
+        if note
+    ]
+    if not result.success:
+        findings.append(by_sentence(result.message, WARN))
+    return Answer(tuple(findings), result)
+
+
+def unchecked(given: Given) -> Identification | None:
+    """The result without any check, or None if there can be none."""
+    with tempfile.TemporaryDirectory() as folder:
+        sources = _sources(given.raw, given, Path(folder))
+        try:
+            return mr.identify(*sources, model=given.model, accept_doubtful=True)
+        except ValueError:
+            return None
+
+
+def _read(given: Given, folder: Path) -> list[Recording]:
+    path = folder / "record.csv"
+    path.write_text(given.text, encoding="utf-8")
+    return [mr.read_record(path, **given.options)]
+
+
+def _sources(recordings: Sequence[Recording], given: Given, folder: Path) -> Sequence[Any]:
+    """What is identified: the recordings, or a bag of them."""
+    return [_bag(recordings, folder / "bag")] if given.container == "bag" else recordings
+
+
+def _bag(sections: Sequence[Recording], path: Path) -> Path:
+    """A bag whose blocks between the sections were lost."""
+    first = sections[0]
+    topics = dict(TOPICS.values())
+    del topics[TOPICS[TemperatureReading][0]]
+    bag = BagStream(path, topics, {})
+    for section in sections:
+        before = round((section.start_ns - first.start_ns) / NANOSECONDS / first.period)
+        for item in stream_of(section, 20):
+            if isinstance(item, SampleBlock):
+                item = replace(item, sequence=before + item.sequence)
+            bag.write(*_message(item))
+    bag.close()
+    return path
