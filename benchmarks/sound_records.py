@@ -78,6 +78,9 @@ MOTION_KINDS: dict[str, Callable[[int], Excitation]] = {
 STEPS = "steps"
 """Name of a current that changes at random times."""
 
+_HELD = (0.08, 0.5)
+"""Shortest and longest time [s] between these changes."""
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -152,7 +155,7 @@ class SoundRecord:
         if self.plan.current is not None:
             return np.full(time.size, self.plan.current)
         rng = np.random.default_rng(100 + self.plan.seed)
-        times = np.concatenate([[-10.0], np.cumsum(rng.uniform(0.3, 1.0, 200))])
+        times = np.concatenate([[-10.0], np.cumsum(rng.uniform(*_HELD, 400))])
         return scheduled(times, rng.uniform(0.0, 1.4, times.size)).at(time - self.plan.begins)
 
     def _computed(self, current: Array) -> Array:

@@ -11,10 +11,15 @@ from typing import Any, NamedTuple
 
 import mr_damper_ros as mr
 from mr_damper_ros.api.identification import Identification
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.io.bag_reader import TOPICS
 from mr_damper_ros.io.bag_writer import BagStream, _message
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.recording import Recording, TemperatureReading, stream_of
+from studies.recordings import window_of
 
 REFUSE, WARN, NOTE = "refuse", "warn", "note"
 
@@ -59,7 +64,7 @@ class Given:
     raw: Sequence[Recording]
     text: str = ""
     options: dict[str, Any] = field(default_factory=dict)
-    model: str = "sigmoid"
+    model: str = DEFAULT_MODEL
     container: str = "list"
 
 
@@ -74,11 +79,6 @@ class Answer:
     def named(self) -> frozenset[str]:
         """Names of the findings that refuse or warn."""
         return frozenset(each.name for each in self.findings if each.severity != NOTE)
-
-    @property
-    def repaired(self) -> bool:
-        """Whether data were filtered, shifted, weighted or left out, as a note says."""
-        return False
 
     @property
     def clean_exit(self) -> bool:
@@ -112,14 +112,15 @@ def answer(given: Given) -> Answer:
     return Answer(tuple(findings), result)
 
 
-def unchecked(given: Given) -> Identification | None:
-    """The result without any check, or None if there can be none."""
-    with tempfile.TemporaryDirectory() as folder:
-        sources = _sources(given.raw, given, Path(folder))
-        try:
-            return mr.identify(*sources, model=given.model, accept_doubtful=True)
-        except ValueError:
-            return None
+def unchecked(recordings: Sequence[Recording], model: str) -> ParameterSet | None:
+    """The set identified without any check or repair, or None if there can be none."""
+    law = MODELS[model]
+    start = law.initial_values()[0]
+    try:
+        windows = [window_of(recording).resolved() for recording in recordings]
+        return identify_global(law, windows, start, EvolutionSettings()).parameter_set
+    except ValueError:
+        return None
 
 
 def _read(given: Given, folder: Path) -> list[Recording]:
