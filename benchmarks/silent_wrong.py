@@ -853,8 +853,10 @@ def figures(every: int = 1, seed: int = 0) -> Measured:
         return 100.0 * part / max(whole, 1)
 
     note = f"Of {len(found)} cases, {len(wrong)} wrong."
+    unnamed = [one for one in wrong if one.verdict in (_UNNAMED, _WRONGLY)]
+    warned = sum(not math.isnan(one.given) for one in unnamed)
     return {
-        "silent_wrong": ([float(count(_SILENT)), float(count(_UNNAMED, _WRONGLY))], note),
+        "silent_wrong": ([float(count(_SILENT)), float(warned)], note),
         "wrong_named_percent": (percent(count(_RIGHT, _REPAIRED), len(wrong)), note),
         "wrong_misnamed_percent": (percent(count(_WRONGLY), len(wrong)), note),
         "harmless_refused_percent": (percent(count(_NEEDLESS), others), note),

@@ -59,6 +59,8 @@ def _rest_sine_rest(amplitude: float, frequency: float, duration: float) -> Samp
 
 _LONG = 30.0
 
+SLOW_TRIANGLE = "slow triangle"
+
 MOTION_KINDS: dict[str, Callable[[int], Excitation]] = {
     "5 mm 1 Hz": lambda _: SineMotion(5e-3, 1.0),
     "18 mm 0.5 Hz": lambda _: SineMotion(18e-3, 0.5),
@@ -68,6 +70,7 @@ MOTION_KINDS: dict[str, Callable[[int], Excitation]] = {
     "random 0.5-8 Hz": lambda seed: random_motion(2e-3, 0.5, 8.0, _LONG, seed),
     "sweep": lambda _: chirp(0.12, 9e-3, 0.3, 8.0, 12.0),
     "triangle": lambda _: _triangle(8e-3, 0.4, _LONG),
+    SLOW_TRIANGLE: lambda _: _triangle(5e-3, 0.02, 130.0),
     "rest, sine, rest": lambda _: _rest_sine_rest(6e-3, 1.5, 8.0),
     "amplitudes": MOTIONS["amplitudes 4, 1, 8 mm"],
     "earthquakes": MOTIONS["earthquakes"],
