@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import cycle
 from pathlib import Path
@@ -22,6 +23,7 @@ from benchmarks.real_records import raw_records
 from benchmarks.sound_records import MOTION_KINDS, OF_THE_PACKAGE, SLOW_TRIANGLE, Plan, SoundRecord
 from benchmarks.told_findings import Given, answer
 from mr_damper_ros.io.bag_reader import read_bag
+from mr_damper_ros.io.columns import UNITS
 from mr_damper_ros.signals.recording import Recording
 from studies import recordings
 
@@ -29,7 +31,7 @@ OF_THE_LAW = frozenset({"unexplained", "other_law"})
 """Findings about the law, not the data: right where the law leaves more than 30 % of the force."""
 
 BAGS = Path("bags")
-_FOREIGN, _OF_THE_PACKAGE = 44, 19
+_FOREIGN, _OF_THE_PACKAGE = 44, 9
 
 _RAW_RUNS = 10
 """Number of runs in the original files of the press."""
@@ -54,7 +56,7 @@ class Sound(NamedTuple):
     """A sound record: its name, how it is made, and findings that are true of it."""
 
     name: str
-    make: Callable[[], Recording]
+    make: Callable[[], Given]
     true: frozenset[str] = frozenset()
 
 
@@ -62,7 +64,11 @@ def _emulated(plan: Plan) -> Sound:
     features = [f"{name} {getattr(plan, name):g}" for name in ("offset", "stiffness", "mass")]
     features += [f"fades {plan.fades:g}", f"noise {plan.force_noise:g}", f"{plan.bits} bit"]
     shown = [feature for feature in features if not feature.endswith(" 0") or "noise" in feature]
-    return Sound(f"{plan.name}, {', '.join(shown)}", SoundRecord(plan).recording)
+    return Sound(f"{plan.name}, {', '.join(shown)}", partial(_made, plan))
+
+
+def _made(*plans: Plan) -> Given:
+    return Given([SoundRecord(plan).recording() for plan in plans])
 
 
 def _duration(motion: str) -> float:
@@ -115,6 +121,62 @@ def _weak_with_gas(seed: int) -> list[Plan]:
     ]
 
 
+def _several(seed: int) -> list[Sound]:
+    """Dampers at three currents each, warmer from record to record."""
+    found = []
+    for number, (damper, motion, offset) in enumerate(
+        (
+            ("gas_bouc_wen", "5 mm 1 Hz", -120.0),
+            ("shim_valves", "random 0.2-3 Hz", 0.0),
+            ("springs", "2 mm 5 Hz", 60.0),
+            ("remanence", "18 mm 0.5 Hz", 0.0),
+        )
+    ):
+        plan = Plan(damper, motion, offset=offset, seed=30_000 + 1000 * seed + number)
+        plans = [
+            replace(plan, current=current, size=1.0 - 0.1 * place, seed=plan.seed + 10 * place)
+            for place, current in enumerate((0.1, 0.6, 1.2))
+        ]
+        found.append(Sound(f"three records: {plan.name}", partial(_made, *plans)))
+    return found
+
+
+_FILES = (
+    ("time:s,displacement:mm,force:kN", "Time [s],Displacement [mm],Force [kN]", ","),
+    ("time:s,displacement:in,force:lbf", "Elapsed,Axial Stroke,Load\nsec,in,lbf", "\t"),
+    ("time:ms,displacement:um,force:N", "Zeit (ms);Weg (µm);Kraft (N)", ";"),
+    ("time:s,force:kgf,displacement:cm", "t/s Kraft/kgf x/cm", " "),
+    ("time:s,displacement:m,force:N", "", " "),
+)
+"""Columns, first lines and separators of sound files in several units."""
+
+
+def _file(plan: Plan, number: int) -> Given:
+    columns, head, separator = _FILES[number]
+    made = SoundRecord(plan).sampled()
+    rows = np.transpose(
+        [
+            getattr(made, name) / UNITS[name][unit]
+            for name, unit in (entry.split(":") for entry in columns.split(","))
+        ]
+    )
+    lines = [head] * bool(head) + [separator.join(f"{x:.7g}" for x in row) for row in rows.tolist()]
+    options = {"columns": columns, "current": plan.current}
+    return Given([made.recording(1.0 / plan.rate)], "\n".join(lines) + "\n", options)
+
+
+def _files(seed: int) -> list[Sound]:
+    """Sound files in several units."""
+    plans = [
+        Plan(damper, motion, 0.7, rate=500.0, jitter=0.0, seed=40_000 + seed)
+        for damper, motion in zip(LAWS, ("5 mm 1 Hz", "random 0.2-3 Hz") * 3, strict=False)
+    ]
+    return [
+        Sound(f"file {_FILES[number][0]}", partial(_file, plan, number))
+        for number, plan in enumerate(plans[: len(_FILES)])
+    ]
+
+
 def _measured() -> list[Sound]:
     """The bundled bags, and the recordings of the press if they are there."""
     bags = sorted(path for path in BAGS.iterdir() if path.is_dir())
@@ -130,16 +192,22 @@ def _measured() -> list[Sound]:
         for number in range(count):
             name = f"{read_all.__name__} {number}"
             found.append(Sound(name, partial(_only, read_all, folder, number)))
+    found.append(Sound("five raw_records", partial(_one_motion, folder, 5)))
     return found
 
 
-def _only(read: Callable[[Path], list[Recording]], path: Path, number: int = 0) -> Recording:
+def _only(read: Callable[[Path], list[Recording]], path: Path, number: int = 0) -> Given:
     """One of the recordings that are read."""
-    return read(path)[number]
+    return Given([read(path)[number]])
 
 
-def _processed(path: Path) -> Recording:
-    return recordings.processed(path)[1]
+def _processed(path: Path) -> Given:
+    return Given([recordings.processed(path)[1]])
+
+
+def _one_motion(folder: Path, first: int) -> Given:
+    """The five runs of a motion in the original files."""
+    return Given(raw_records(folder)[first : first + 5])
 
 
 def sound_records(seed: int = 0) -> list[Sound]:
@@ -147,7 +215,8 @@ def sound_records(seed: int = 0) -> list[Sound]:
     weak = _weak_with_gas(seed)
     foreign = _plans(tuple(LAWS), _FOREIGN - len(weak), seed)
     known = _plans(tuple(OF_THE_PACKAGE), _OF_THE_PACKAGE, seed)
-    return [*map(_emulated, [*weak, *foreign, *known]), *_measured()]
+    emulated = map(_emulated, [*weak, *foreign, *known])
+    return [*emulated, *_several(seed), *_files(seed), *_measured()]
 
 
 class Found(NamedTuple):
@@ -162,7 +231,7 @@ class Found(NamedTuple):
 def _judged(part: int, parts: int, seed: int) -> list[Found]:
     found = []
     for sound in sound_records(seed)[part::parts]:
-        told = answer(Given([sound.make()]))
+        told = answer(sound.make())
         found.append(
             Found(
                 sound.name,

@@ -595,9 +595,9 @@ KINDS: tuple[Kind, ...] = (
         _uneven,
         "uneven_time",
         [
-            *(("jitter", 0.1), ("jitter", 0.4), ("jitter", 0.8), ("jitter", 1.5)),
-            *(("change", 1.5), ("change", 1.1), ("change", 1.0005), ("change", 2.0)),
-            *(("lost", 0.05), ("lost", 0.2), ("jitter", 0.8), ("lost", 0.02)),
+            *(("jitter", 0.1), ("jitter", 0.4), ("jitter", 0.8), ("change", 3.0)),
+            *(("change", 1.5), ("change", 1.001), ("change", 1.0003), ("change", 2.0)),
+            *(("lost", 0.05), ("lost", 0.2), ("lost", 0.4), ("lost", 0.02)),
         ],
     ),
     _kind(
@@ -609,7 +609,7 @@ KINDS: tuple[Kind, ...] = (
     _kind(
         "fragment",
         _fragment,
-        "fragment",
+        "fragment short",
         [
             *((0.1, 0.9, "bag"), (0.05, 0.3, "bag"), (0.2, 0.5, "bag"), (0.02, 1.0, "bag")),
             *((0.1, 0.9, "list"), (0.3, 0.5, "list"), (0.03, 0.5, "list"), (0.1, 0.9, "bag")),
@@ -654,18 +654,20 @@ KINDS: tuple[Kind, ...] = (
         [("within", 0.05), ("within", 0.3), ("within", 0.6), ("between", 0.2), ("between", 0.4)],
     ),
     _kind(
-        "moving average of the force",
+        "moving average of a channel",
         _smoothed,
-        "smoothed skew",
-        [(("force",), seconds) for seconds in (0.02, 0.05, 0.1, 0.3)],
+        "smoothed skew backward",
+        [(("force",), seconds) for seconds in (0.02, 0.05, 0.1, 0.3)]
+        + [(("displacement",), seconds) for seconds in (0.05, 0.1)],
     ),
     _kind(
-        "moving average",
+        "moving average of both channels",
         _smoothed,
         "smoothed",
         [
-            *((("displacement", "force"), 0.05), (("displacement", "force"), 0.1)),
-            *((("displacement", "force"), 0.3), (("displacement",), 0.05)),
+            (("displacement", "force"), 0.05),
+            (("displacement", "force"), 0.1),
+            (("displacement", "force"), 0.3),
         ],
     ),
     _kind(
@@ -691,7 +693,7 @@ KINDS: tuple[Kind, ...] = (
         ],
         _RANDOM[1:],
     ),
-    _kind("less than a cycle", _short, "short fragment", [0.3, 0.5, 0.7, 0.85], _SLOW_SINES),
+    _kind("less than a cycle", _short, "short fragment", [0.2, 0.3, 0.4, 0.5], _SLOW_SINES),
     _kind(
         "noise",
         _noisy,
