@@ -733,8 +733,9 @@ def cases(seed: int = 0) -> list[Case]:
         order = rng.permutation(len(plans))
         twice = 2 if len(kind.sizes) < _FEW else 1
         for number, size in enumerate(kind.sizes * twice):
-            plan = plans[order[number % len(plans)]]
-            found.append(Case(place, size, plan, number))
+            again, which = divmod(number, len(plans))
+            plan = plans[order[which]]
+            found.append(Case(place, size, replace(plan, seed=plan.seed + 500 * again), number))
     return found
 
 
@@ -885,6 +886,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
     if options.list:
+        print("left out, because the data cannot show them:")
+        print(*(f"  {what}: {why}" for what, why in LEFT_OUT.items()), sep="\n", end="\n\n")
         print("verdict, NRMSE of the sound fit, unchecked, given; size; record; findings")
         print(*_listed(judge_all(options.every, options.seed)), sep="\n")
     else:
