@@ -699,7 +699,7 @@ KINDS: tuple[Kind, ...] = (
         _noisy,
         "noise",
         [("displacement", 1e-6 * um) for um in (10, 30, 100, 300)]
-        + [("force", part) for part in (0.05, 0.15, 0.4)],
+        + [("force", part) for part in (0.05, 0.1, 0.15)],
     ),
     _kind(
         "coarse",
@@ -812,10 +812,11 @@ def _is_wrong(error: float, sound: float) -> bool:
 
 
 def _verdict(kind: Kind, told: Answer, sound: float, plain: float, received: float) -> str:
-    """The verdict of a case from its errors."""
-    if not _is_wrong(plain, sound):
+    """The verdict of a case from its errors; a repair may help or harm."""
+    harmed = told.result is not None and _is_wrong(received, sound)
+    if not (harmed or _is_wrong(plain, sound)):
         return _NEEDLESS if told.named else _FINE
-    if told.result is not None and not _is_wrong(received, sound):
+    if told.result is not None and not harmed:
         return _REPAIRED
     if told.named & kind.right and not told.clean_exit:
         return _RIGHT
