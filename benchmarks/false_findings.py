@@ -92,7 +92,7 @@ def _plans(dampers: Sequence[str], count: int, seed: int) -> Iterator[Plan]:
             damper,
             motion,
             current,
-            rate=min(rate, 1000.0) if duration > 10.0 else rate,
+            rate=min(rate, 300.0) if duration > 20.0 else rate,
             duration=duration,
             size=size,
             force_noise=noise,
