@@ -309,10 +309,11 @@ def _lost(sound: SoundRecord, size: Any, rng: np.random.Generator) -> Spoilt:
 def _fragment(sound: SoundRecord, size: Any, rng: np.random.Generator) -> Spoilt:
     """``size``: duration [s] of a fragment and of the gap that follows, and the container."""
     short, gap, container = size
-    early = replace(sound.plan, begins=sound.plan.begins - gap - short, duration=short)
-    first = sound_record(early).recording()
-    given = Given([replace(first, name="fragment"), sound.recording()], container=container)
-    return Spoilt(given, (sound.plan,))
+    plan = replace(sound.plan, begins=3.0)  # in motion
+    early = replace(plan, begins=plan.begins - gap - short, duration=short)
+    first = replace(sound_record(early).recording(), name="fragment")
+    raw = [first, sound_record(plan).recording()]
+    return Spoilt(Given(raw, container=container), (plan,))
 
 
 def _swapped(sound: SoundRecord, size: Any, rng: np.random.Generator) -> Spoilt:
