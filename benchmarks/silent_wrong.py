@@ -46,6 +46,9 @@ LEFT_OUT = {
     ),
     "a wrong current of a single record": "the force at one current says nothing of others",
     "a constant offset of the load cell in a single record": "a gas preload looks the same",
+    "a force that is early by less than its lag behind the motion": (
+        "the record is that of a damper with less hysteresis"
+    ),
     "a slow drift of the load cell": "a damper that heats up looks the same",
     "a law that explains 70 % or more of the force": "its misfit is a note by definition",
 }
@@ -229,8 +232,13 @@ def _reversed(sound: SoundRecord, channel: str, rng: np.random.Generator) -> Spo
 
 
 def _skewed(sound: SoundRecord, seconds: float, rng: np.random.Generator) -> Spoilt:
-    """The force late by some time [s], or early."""
+    """The force late by some time [s]."""
     return _one(sound, sound.sampled(force_late=seconds))
+
+
+def _backward(sound: SoundRecord, seconds: float, rng: np.random.Generator) -> Spoilt:
+    """The force so early that it leads the direction of the motion by some time [s]."""
+    return _one(sound, sound.sampled(force_late=-seconds - sound.lag))
 
 
 def _current_skewed(sound: SoundRecord, seconds: float, rng: np.random.Generator) -> Spoilt:
@@ -513,32 +521,32 @@ KINDS: tuple[Kind, ...] = (
     _kind("force reversed", _reversed, "inverted", ["force"] * 4),
     _kind("displacement reversed", _reversed, "inverted", ["displacement"] * 4),
     _kind(
-        "force early",
-        _skewed,
+        "hysteresis backward",
+        _backward,
         "skew backward",
-        [-1e-3 * ms for ms in (3, 10, 20, 30, 40, 60)],
+        [1e-3 * ms for ms in (5, 10, 20, 30, 45, 60)],
         _SLOW,
     ),
     _kind(
-        "force early in a fast motion",
-        _skewed,
+        "hysteresis backward in a fast motion",
+        _backward,
         "skew backward",
-        [-2e-3, -5e-3, -10e-3, -20e-3],
-        ("2 mm 5 Hz", _RANDOM[1]),
-    ),
-    _kind(
-        "force late",
-        _skewed,
-        "skew",
-        [1e-3 * ms for ms in (3, 10, 20, 30, 40, 60)],
-        _SLOW,
-    ),
-    _kind(
-        "force late in a fast motion",
-        _skewed,
-        "skew",
         [2e-3, 5e-3, 10e-3, 20e-3],
         ("2 mm 5 Hz", _RANDOM[1]),
+    ),
+    _kind(
+        "force late in a sine",
+        _skewed,
+        "skew",
+        [1e-3 * ms for ms in (3, 10, 20, 40, 60)],
+        _SLOW_SINES,
+    ),
+    _kind(
+        "force late in random motion",
+        _skewed,
+        "skew",
+        [1e-3 * ms for ms in (2, 5, 10, 20, 30)],
+        _RANDOM,
     ),
     _kind(
         "current late",

@@ -29,6 +29,9 @@ _FINE = 1e-3
 
 _CELSIUS = 28.0
 
+_LAGS = -0.05, 0.12
+"""Range of lags of a force behind the motion [s]."""
+
 OF_THE_PACKAGE: dict[str, ParameterSet] = {
     "sigmoid": SIXTEEN,
     "springs": STATE_DAMPER,
@@ -186,6 +189,18 @@ class SoundRecord:
             self._fine <= self.plan.begins + self.plan.duration
         )
         return float(np.max(np.abs(self._force[within])))
+
+    @cached_property
+    def lag(self) -> float:
+        """Lag [s] of the true force behind the direction of the motion, by their correlation."""
+        step = float(self._fine[1] - self._fine[0])
+        direction = np.sign(self.motion.at(self._fine).velocity)
+        force = self._force - np.mean(self._force)
+        low, high = (round(edge / step) for edge in _LAGS)
+        inner = slice(high, self._fine.size - high)
+        shifts = np.arange(low, high + 1)
+        products = [direction[inner] @ np.roll(force, -shift)[inner] for shift in shifts.tolist()]
+        return step * float(shifts[int(np.argmax(products))])
 
     @property
     def period(self) -> float:
