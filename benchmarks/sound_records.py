@@ -6,7 +6,7 @@ The dampers are of laws of the package and of laws that it does not contain.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -33,7 +33,7 @@ _LAGS = -0.05, 0.12
 """Range of lags of a force behind the motion [s]."""
 
 OF_THE_PACKAGE: dict[str, ParameterSet] = {
-    "sigmoid": SIXTEEN,
+    "sigmoid": replace(SIXTEEN, peak_velocity_range=(0.01, 0.25)),
     "springs": STATE_DAMPER,
     **DAMPERS,
 }
