@@ -21,27 +21,14 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.recording import Recording, TemperatureReading, stream_of
 from studies.recordings import window_of
 
-REFUSE, WARN, NOTE = "refuse", "warn", "note"
+REFUSE, NOTE = "refuse", "note"
 
 _NAMES = (
-    ("hum", r"\bhum\b|mains"),
-    ("rate", r"unit of the time|velocity column is|rod moves at|sample period is|sampling rate"),
-    ("unit", r"is it in (?:milli|kelvin)|unit of the (?:force|displacement)|unit row|heading"),
-    ("clipped", r"is clipped"),
-    ("spikes", r"spike|glitch"),
-    ("inverted", r"not dissipative"),
-    ("backward", r"backward"),
-    ("several_currents", r"several currents"),
-    ("contradicting", r"is a current wrong|contradict each other"),
-    ("negative_slope", r"is negative \("),
-    ("stuck", r"stuck|load cell connected|right column|is constant"),
-    ("smoothed", r"moving average"),
-    ("short", r"less than a cycle"),
-    ("uneven_time", r"not uniform|does not increase|instead of [\d.e-]+ s: choose|deviate by"),
-    ("at_rest", r"did not move|below the minimum"),
-    ("unexplained", r"EXPLAINS TOO LITTLE"),
+    ("rate", r"velocity column is|sampl\w+ (?:rate|period)|unit of the time"),
+    ("unit", r"\bunits?\b"),
+    ("uneven_time", r"not uniform|does not increase|increases by"),
 )
-"""Names of findings by a pattern of their sentences, for errors that have no name."""
+"""Names of the findings for which a reader refuses a file, by a pattern of its sentence."""
 
 
 class Told(NamedTuple):
@@ -86,30 +73,37 @@ class Answer:
         return self.result is not None and self.result.success
 
 
-def by_sentence(sentence: str, severity: str) -> Told:
-    """A finding by its sentence."""
+def _by_sentence(sentence: str) -> Told:
+    """The finding for which a reader refuses a file."""
     found = (name for name, pattern in _NAMES if re.search(pattern, sentence))
-    return Told(next(found, "unknown"), severity, sentence)
+    return Told(next(found, "unknown"), REFUSE, sentence)
 
 
 def answer(given: Given) -> Answer:
     """Read and identify as a user would."""
     with tempfile.TemporaryDirectory() as folder:
+        sources: Sequence[Any] = ()
         try:
             recordings = _read(given, Path(folder)) if given.text else given.raw
-            result = mr.identify(*_sources(recordings, given, Path(folder)), model=given.model)
+            sources = _sources(recordings, given, Path(folder))
+            result = mr.identify(*sources, model=given.model)
         except ValueError as error:
-            return Answer((by_sentence(str(error), REFUSE),), None)
-    findings = [by_sentence(remark, WARN) for remark in result.remarks]
-    findings += [
-        by_sentence(note, NOTE)
-        for each in recordings
-        for note in each.details.get("note", "").split("; ")
-        if note
-    ]
-    if not result.success:
-        findings.append(by_sentence(result.message, WARN))
-    return Answer(tuple(findings), result)
+            return Answer(_refusals(sources, error), None)
+    return Answer(tuple(map(_told, result.findings)), result)
+
+
+def _refusals(sources: Sequence[Any], error: ValueError) -> tuple[Told, ...]:
+    """The findings that refuse; only a reader refuses without a finding."""
+    try:
+        found = mr.check(*sources).findings if sources else ()
+    except ValueError:
+        found = ()
+    refused = tuple(each for each in map(_told, found) if each.severity == REFUSE)
+    return refused or (_by_sentence(str(error)),)
+
+
+def _told(finding: mr.Finding) -> Told:
+    return Told(finding.name, finding.severity.name.lower(), finding.sentence)
 
 
 def unchecked(recordings: Sequence[Recording], model: str) -> ParameterSet | None:
