@@ -281,31 +281,32 @@ class Spectrum:
         found: list[Line] = []
         for width in _WIDTHS:
             bands = self._bands(width)
-            for place in self._peaks(bands, self._half(width)):
+            for place in np.flatnonzero(self._stand_apart(bands, width, fastest)).tolist():
                 line = Line(float(place * self._step), float(bands[place]), width)
-                known = any(
+                if not any(
                     abs(line.frequency - other.frequency) < width + other.width for other in found
-                )
-                if not known and self._stands_apart(bands, place, width, fastest):
+                ):
                     found.append(line)
         return found
 
-    def _stands_apart(self, bands: Array, place: int, width: float, fastest: float) -> bool:
-        half = self._half(width)
-        reach = max(round(max(_REACH * width, _HARMONICS * fastest) / self._step), 2 * _OWN * half)
-        if place < reach or place + reach >= bands.size:
-            return False
-        beside = bands[place - reach : place + reach + 1].copy()
-        beside[reach - _OWN * half : reach + _OWN * half + 1] = 0.0
-        return bool(bands[place] > _APART * float(beside.max()))
-
-    @staticmethod
-    def _peaks(bands: Array, half: int) -> list[int]:
-        """Places of the largest value within ``half`` lines to either side."""
+    def _stand_apart(self, bands: Array, width: float, fastest: float) -> Mask:
+        """Whether each band (m,) is the largest within its half-width, and stands apart."""
         from scipy.ndimage import maximum_filter1d  # imported late: see entry_points
 
-        peaks: list[int] = np.flatnonzero(bands == maximum_filter1d(bands, 2 * half + 1)).tolist()
-        return peaks
+        half = self._half(width)
+        own = _OWN * half
+        reach = max(round(max(_REACH * width, _HARMONICS * fastest) / self._step), 2 * own)
+        stand = np.zeros(bands.size, dtype=bool)
+        if bands.size <= 2 * reach:
+            return stand
+        # The largest of the bands before and after the own ones, for all bands at once.
+        size, inside = reach - own, slice(reach, bands.size - reach)
+        largest = maximum_filter1d(bands, size)[size // 2 :]
+        count = bands.size - 2 * reach
+        around = np.maximum(largest[:count], largest[reach + own + 1 :][:count])
+        peaks = bands == maximum_filter1d(bands, 2 * half + 1)
+        stand[inside] = peaks[inside] & (bands[inside] > _APART * around)
+        return stand
 
 
 def without_lines(values: Array, lines: list[Line], period: float) -> Array:

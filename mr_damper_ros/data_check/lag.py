@@ -95,10 +95,14 @@ def force_lead(displacement: Array, force: Array, period: float) -> Lead:
     acceleration = smooth.derivative(displacement, 2, period)[edge:-edge]
     centred = force[edge:-edge] - extent(force)[0]
     size = centred.size // parts
-    products = np.stack((centred * velocity, centred * acceleration, velocity**2, acceleration**2))[
-        :, : size * parts
-    ]
-    sums = products.reshape(4, parts, size).sum(axis=2)
+    # One product after the other, because those of a long record need much memory.
+    pairs = (
+        (centred, velocity),
+        (centred, acceleration),
+        (velocity, velocity),
+        (acceleration, acceleration),
+    )
+    sums = np.stack([(x * y)[: size * parts].reshape(parts, size).sum(axis=1) for x, y in pairs])
 
     def lead(power: Array, early: Array, speed: Array, change: Array) -> Array:
         rate = np.sqrt(change / speed)
