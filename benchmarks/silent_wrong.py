@@ -612,7 +612,7 @@ KINDS: tuple[Kind, ...] = (
     _kind(
         "lost samples without times",
         _lost,
-        "uneven_time",
+        "uneven_time missing",
         [(10, 0.3), (50, 0.5), (20, 1.0), (100, 0.5), (2, 1.0), (50, 1.0)],
     ),
     _kind(
@@ -635,7 +635,7 @@ KINDS: tuple[Kind, ...] = (
     _kind(
         "several currents in a record",
         _several,
-        "several_currents contradicting",
+        "several_currents contradicting gain_changes",
         [(0.2, 0.7, 1.4), (0.8, 1.2), (0.0, 1.0), (1.2, 1.2, 1.2, 0.0), (0.4, 0.6), (1.4, 0.3)],
     ),
     _kind(
@@ -659,7 +659,7 @@ KINDS: tuple[Kind, ...] = (
     _kind(
         "zero of the load cell changes",
         _offset,
-        "offset contradicting",
+        "offset contradicting zero_changes",
         [("within", 0.05), ("within", 0.3), ("within", 0.6), ("between", 0.2), ("between", 0.4)],
     ),
     _kind(
