@@ -49,6 +49,7 @@ LEFT_OUT = {
     "a force that is early by less than its lag behind the motion": (
         "the record is that of a damper with less hysteresis"
     ),
+    "a force that is late in a sine": "the loop is that of a damper with more hysteresis",
     "a slow drift of the load cell": "a damper that heats up looks the same",
     "a law that explains 70 % or more of the force": "its misfit is a note by definition",
 }
@@ -533,13 +534,6 @@ KINDS: tuple[Kind, ...] = (
         "skew backward",
         [2e-3, 5e-3, 10e-3, 20e-3],
         ("2 mm 5 Hz", _RANDOM[1]),
-    ),
-    _kind(
-        "force late in a sine",
-        _skewed,
-        "skew",
-        [1e-3 * ms for ms in (3, 10, 20, 40, 60)],
-        _SLOW_SINES,
     ),
     _kind(
         "force late in random motion",

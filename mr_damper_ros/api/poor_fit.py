@@ -29,13 +29,16 @@ _SAMPLES = 1500
 _SHIFTS = np.array([1.0, 2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0]) * 1e-3
 """Shifts [s] of the force that are tried in both directions."""
 
-_PARTS = 16
+_PARTS = 10
 """Parts of a window whose gains and zeros are compared."""
 
-_STEP_OF_GAIN, _STEP_OF_ZERO = 0.12, 0.08
+_STEP_OF_GAIN, _STEP_OF_ZERO = 0.2, 0.15
 """Smallest step that is named: of the gain, and of the zero relative to the force."""
 
-_ABRUPT = 0.85
+_MOVING = 0.3
+"""Smallest standard deviation of the force in a part, relative to that of the window."""
+
+_ABRUPT = 0.9
 """Part of the variance that a step explains. A steady drift is explained to three quarters."""
 
 
@@ -49,9 +52,11 @@ def causes_of(found: ParameterSet, window: Window, nrmse: float) -> list[Finding
     if findings or nrmse <= _POOR:
         return findings
     here = _nrmse(found.model, window)
+    causes = _other_law(found.model, window, here, nrmse)
     if window.motion.sine is None:
-        findings = _shift(found.model, window, here)
-    return findings or _other_law(found.model, window, here, nrmse)
+        causes += _shift(found.model, window, here)
+    # The better explanation, which has the smaller NRMSE.
+    return [finding for _, finding in sorted(causes, key=lambda each: each[0])[:1]]
 
 
 def _nrmse(model: str, window: Window) -> float:
@@ -64,7 +69,10 @@ def _nrmse(model: str, window: Window) -> float:
         return math.inf
 
 
-def _other_law(model: str, window: Window, here: float, nrmse: float) -> list[Finding]:
+def _other_law(
+    model: str, window: Window, here: float, nrmse: float
+) -> list[tuple[float, Finding]]:
+    """NRMSE of the best other law, with a finding, if it is much better."""
     trials = {other: _nrmse(other, window) for other in MODELS if other != model}
     other = min(trials, key=trials.__getitem__)
     if not trials[other] <= _MUCH_BETTER * min(here, nrmse):
@@ -73,11 +81,11 @@ def _other_law(model: str, window: Window, here: float, nrmse: float) -> list[Fi
     found = Kind.OTHER_LAW.found(
         value=better, other=other, better=better, model=model, nrmse=min(here, nrmse)
     )
-    return [replace(found, severity=WARN if nrmse > LARGEST_NRMSE else NOTE)]
+    return [(better, replace(found, severity=WARN if nrmse > LARGEST_NRMSE else NOTE))]
 
 
-def _shift(model: str, window: Window, here: float) -> list[Finding]:
-    """A finding if the force fits the motion much better at another time."""
+def _shift(model: str, window: Window, here: float) -> list[tuple[float, Finding]]:
+    """NRMSE with the best shift in time, with a finding, if it is much better."""
     shifts = np.concatenate((-_SHIFTS[::-1], [0.0], _SHIFTS))
     moved = (_with_shifted_force(window, shift) for shift in shifts.tolist())
     errors = [_nrmse(model, each) for each in moved]
@@ -88,18 +96,17 @@ def _shift(model: str, window: Window, here: float) -> list[Finding]:
     near = shifts[max(place - 1, 0) : place + 2]
     doubt = 0.5 * float(np.ptp(near)) / (near.size - 1)
     late_channel, early = ("force", "displacement")[:: 1 if late > 0.0 else -1]
-    return [
-        Kind.SKEW.found(
-            late_channel,
-            value=late,
-            error=doubt,
-            late=late_channel,
-            early=early,
-            skew=1e3 * abs(late),
-            doubt=1e3 * doubt,
-            lateness=late,
-        )
-    ]
+    finding = Kind.SKEW.found(
+        late_channel,
+        value=late,
+        error=doubt,
+        late=late_channel,
+        early=early,
+        skew=1e3 * abs(late),
+        doubt=1e3 * doubt,
+        lateness=late,
+    )
+    return [(errors[place], finding)]
 
 
 def _with_shifted_force(window: Window, late: float) -> Window:
@@ -113,12 +120,13 @@ def _with_shifted_force(window: Window, late: float) -> Window:
 def _steps(found: ParameterSet, window: Window) -> list[Finding]:
     """Findings on a gain or a zero of the force that changes at once within a window."""
     predicted = found.window_force(window)
+    usual = float(np.std(predicted))
     gains, zeros = [], []
     for own, measured in zip(
         np.array_split(predicted, _PARTS), np.array_split(window.force, _PARTS), strict=True
     ):
-        if np.ptp(own) == 0.0:
-            return []
+        if float(np.std(own)) < _MOVING * usual:
+            return []  # at rest or in another motion, gain and zero say nothing
         gain, zero = np.polyfit(own, measured, 1).tolist()
         gains.append(gain)
         zeros.append(zero)

@@ -21,9 +21,9 @@ def longest(found: list[slice]) -> slice:
     return max(found, key=lambda each: each.stop - each.start, default=slice(0, 0))
 
 
-def extent(values: Array) -> tuple[float, float]:
-    """Centre and half the range of values (n,) without rare outliers."""
-    low, high = np.quantile(values, (0.01, 0.99))
+def extent(values: Array, left_out: float = 0.01) -> tuple[float, float]:
+    """Centre and half the range of values (n,) without this part at either end."""
+    low, high = np.quantile(values, (left_out, 1.0 - left_out))
     return 0.5 * float(high + low), 0.5 * float(high - low)
 
 
@@ -189,9 +189,12 @@ _LEAP = 3.0
 
 def jumps(values: Array) -> int:
     """Number of steps of a displacement (n,) that no motion explains: samples are missing."""
-    steps = np.abs(np.diff(values))
-    usual = float(np.quantile(steps, 0.99))
-    return int(np.count_nonzero(steps > max(_LEAP * usual, _OUTLIER * white_noise(values))))
+    steps = np.diff(values)
+    usual = float(np.quantile(np.abs(steps), 0.99))
+    places = np.flatnonzero(np.abs(steps) > max(_LEAP * usual, _OUTLIER * white_noise(values)))
+    # The way out and back of a spike is no jump.
+    back = (np.diff(places) <= _WIDEST) & (steps[places[:-1]] * steps[places[1:]] < 0.0)
+    return places.size - int(np.count_nonzero(np.append(back, False) | np.append(False, back)))
 
 
 # -- disturbances that stand apart -----------------------------------------------------------

@@ -83,18 +83,23 @@ def force_lead(displacement: Array, force: Array, period: float) -> Lead:
 
     The phase of the force against the velocity follows from its power with velocity and
     acceleration. A force that lags, and a stiffness, make the power with the acceleration negative;
-    inertia and a force recorded early make it positive. The error follows from the scatter of equal
-    parts of the record. A lead that cannot be estimated is NaN, with an infinite error.
+    inertia and a force recorded early make it positive. The error follows from the scatter of parts
+    of the record. A lead that cannot be estimated is NaN, with an infinite error.
     """
     smooth = _smoother(displacement, period)
-    parts = min(int(motion_frequency(displacement, period) * displacement.size * period), _PARTS)
-    if smooth is None or parts < 2:
+    if smooth is None:
         return Lead(*_UNKNOWN, math.inf)
     edge = smooth.length
     velocity = smooth.derivative(displacement, 1, period)[edge:-edge]
     acceleration = smooth.derivative(displacement, 2, period)[edge:-edge]
     centred = force[edge:-edge] - extent(force)[0]
-    size = centred.size // parts
+    turns, direction = _reversals(velocity, _SMALL * float(np.quantile(np.abs(velocity), 0.9)))
+    cycles = turns[direction > 0.0].astype(int)
+    # Parts of whole cycles, because a part of a cycle has a power of its own.
+    parts = min(cycles.size - 1, _PARTS)
+    if parts < 2:
+        return Lead(*_UNKNOWN, math.inf)
+    edges = cycles[np.linspace(0, cycles.size - 1, parts + 1).astype(int)]
     # One product after the other, because those of a long record need much memory.
     pairs = (
         (centred, velocity),
@@ -102,7 +107,8 @@ def force_lead(displacement: Array, force: Array, period: float) -> Lead:
         (velocity, velocity),
         (acceleration, acceleration),
     )
-    sums = np.stack([(x * y)[: size * parts].reshape(parts, size).sum(axis=1) for x, y in pairs])
+    inside = slice(int(edges[0]), int(edges[-1]))
+    sums = np.stack([np.add.reduceat((x * y)[inside], edges[:-1] - edges[0]) for x, y in pairs])
 
     def lead(power: Array, early: Array, speed: Array, change: Array) -> Array:
         rate = np.sqrt(change / speed)

@@ -45,12 +45,12 @@ _SMALLEST_MOTION = 1e-4
 """Smallest plausible span [m] of a displacement; the seals of a damper give way by as much."""
 
 _LARGEST_SPEED = 5.0
-"""Largest plausible root mean square of the velocity [m/s]."""
+"""Largest plausible usual velocity [m/s]."""
 
-_WITHOUT_SPIKES = 0.99
-"""Fraction of the samples whose largest force counts, because spikes may be larger."""
+_SPIKES = 0.06
+"""Part of the samples that may be spikes, and does not count for the size of a channel."""
 
-SMALLEST_FORCE, _UNUSUAL_FORCE = 5.0, 1e5
+SMALLEST_FORCE, _UNUSUAL_FORCE = 5.0, 2e5
 """Smallest plausible peak force [N], and the largest that is usual: the few larger MR dampers are
 those of buildings, and a small damper in the wrong unit seems as strong."""
 
@@ -89,7 +89,7 @@ damper whose inertia may be its cause."""
 _LITTLE = 0.04
 """Height cut off by clipping that does not matter, relative to half the range."""
 
-_RENEWALS = 15
+_RENEWALS = 12
 """Smallest number of renewals in a cycle with which a channel that is held can be bridged."""
 
 _GROSS = {Kind.COARSE: 0.2, Kind.NOISE: 0.25}
@@ -140,9 +140,8 @@ def check_samples(given: Samples, *, mend: bool = True) -> Checked:
     if inverted and _exchanged(given.displacement, given.force):
         return Checked(given, (Kind.SWAPPED.found(),))
     samples, found = _mended(given, mend=mend)
-    for name in ("displacement", "force"):
-        if (count := find_average(getattr(given, name))) > 1:
-            found.append(Kind.SMOOTHED.found(name, value=count, count=count))
+    if (count := find_average(given.force)) > 1:
+        found.append(Kind.SMOOTHED.found("force", value=count, count=count))
     of_motion = inverted or tuple(_lag_findings(samples))
     return Checked(samples, (*impossible, *found, *_quality(samples), *of_motion))
 
@@ -169,8 +168,8 @@ def unit_findings(samples: Samples, *, moves: bool = True) -> Iterator[Finding]:
     """Findings on values that no damper gives in SI units."""
     if not _PERIODS[0] <= samples.period <= _PERIODS[1]:
         yield _wrong_unit("time", "has a sample period of", samples.period, "another unit", "s")
-    span = 2.0 * extent(samples.displacement)[1]
-    speed = float(np.sqrt(np.mean(np.diff(samples.displacement) ** 2))) / samples.period
+    span = 2.0 * extent(samples.displacement, _SPIKES)[1]
+    speed = float(np.quantile(np.abs(np.diff(samples.displacement)), 0.7)) / samples.period
     if span > LARGEST_MOTION:
         yield _wrong_unit("displacement", "spans", span, "millimetres")
     elif moves and span < _SMALLEST_MOTION:
@@ -180,7 +179,7 @@ def unit_findings(samples: Samples, *, moves: bool = True) -> Iterator[Finding]:
             yield _wrong_unit("displacement", "spans only", span, "metres")
     elif speed > _LARGEST_SPEED:
         yield _wrong_unit("time", "lets the rod move at", speed, "another unit", "m/s on average")
-    largest = float(np.quantile(np.abs(samples.force), _WITHOUT_SPIKES))
+    largest = float(np.quantile(np.abs(samples.force), 1.0 - _SPIKES))
     if largest > LARGEST_FORCE:
         yield _wrong_unit("force", "reaches", largest, "another unit")
     elif moves and 0.0 < largest < SMALLEST_FORCE:
@@ -260,7 +259,8 @@ def _mended(given: Samples, *, mend: bool) -> tuple[Samples, list[Finding]]:
             where = " and ".join(f"{limit.extreme:.4g}" for limit in limits)
             cut = max(limit.cut for limit in limits)
             clipped = Kind.CLIPPED.found(name, value=cut, how=f" at {where} {UNITS[name]}")
-            if cut <= _LITTLE * extent(values)[1]:
+            # A cut displacement has no velocity, however little is cut off.
+            if name == "force" and cut <= _LITTLE * extent(values)[1]:
                 clipped = replace(clipped.mended("little is cut off"), severity=NOTE)
             found.append(clipped)
             continue

@@ -141,7 +141,7 @@ def test_a_clipped_force_is_named_and_refused_if_much_is_cut_off(
 
 
 def test_a_force_above_those_of_usual_dampers_is_warned_of() -> None:
-    assert kinds(scaled("force", 300.0)(sound())) == {Kind.UNIT: WARN}
+    assert kinds(scaled("force", 500.0)(sound())) == {Kind.UNIT: WARN}
 
 
 @pytest.mark.parametrize("step", [1.0, 3.0, 5.0])
@@ -371,7 +371,7 @@ def test_a_shift_of_the_force_in_random_motion_is_measured(law: str, late: int) 
 
 @pytest.mark.parametrize(
     ("change", "kind"),
-    [(lambda f: f + 200.0, Kind.ZERO_CHANGES), (lambda f: 1.4 * f, Kind.GAIN_CHANGES)],
+    [(lambda f: f + 400.0, Kind.ZERO_CHANGES), (lambda f: 1.4 * f, Kind.GAIN_CHANGES)],
 )
 def test_a_zero_or_a_gain_that_changes_at_once_is_named(
     change: Callable[[np.ndarray], np.ndarray], kind: Kind
