@@ -125,11 +125,11 @@ def _steps(found: ParameterSet, window: Window) -> list[Finding]:
     for own, measured in zip(
         np.array_split(predicted, _PARTS), np.array_split(window.force, _PARTS), strict=True
     ):
-        if float(np.std(own)) < _MOVING * usual:
+        if not float(np.std(own)) > _MOVING * usual:
             return []  # at rest or in another motion, gain and zero say nothing
-        gain, zero = np.polyfit(own, measured, 1).tolist()
-        gains.append(gain)
-        zeros.append(zero)
+        around = own - own.mean()
+        gains.append(float(around @ measured) / float(around @ around))
+        zeros.append(float(measured.mean()) - gains[-1] * float(own.mean()))
     size = float(np.std(window.force))
     steps = []
     gain_step, zero_step = _step(np.array(gains)), _step(np.array(zeros))
