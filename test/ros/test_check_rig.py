@@ -35,7 +35,7 @@ def test_what_is_wrong_is_said_and_the_exit_code_tells(start: Any) -> None:
     start("bridge", emulated__faults="force_gain:-1 force_clip:600", **STEPS)
     done = check(6.0)
     assert done.returncode == 1, done.stderr
-    assert "reverse the sign of force or displacement" in done.stdout
+    assert "reverse the sign of the force" in done.stdout
     assert "the force is clipped at" in done.stdout
 
 
