@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mr_damper_ros.data_check.findings import NOTE, WARN, Finding, Kind
+from mr_damper_ros.data_check.samples import skew_finding
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
@@ -95,18 +96,7 @@ def _shift(model: str, window: Window, here: float) -> list[tuple[float, Finding
     late = float(shifts[place])
     near = shifts[max(place - 1, 0) : place + 2]
     doubt = 0.5 * float(np.ptp(near)) / (near.size - 1)
-    late_channel, early = ("force", "displacement")[:: 1 if late > 0.0 else -1]
-    finding = Kind.SKEW.found(
-        late_channel,
-        value=late,
-        error=doubt,
-        late=late_channel,
-        early=early,
-        skew=1e3 * abs(late),
-        doubt=1e3 * doubt,
-        lateness=late,
-    )
-    return [(errors[place], finding)]
+    return [(errors[place], skew_finding(late, doubt))]
 
 
 def _with_shifted_force(window: Window, late: float) -> Window:

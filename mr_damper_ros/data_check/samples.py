@@ -279,13 +279,7 @@ def _mended(given: Samples, *, mend: bool) -> tuple[Samples, list[Finding]]:
     held = any(each.kind is Kind.HELD for each in found) and not mend
     lines = [] if held else _disturbances(samples)
     for line in lines:
-        hum = Kind.HUM.found(
-            "displacement",
-            value=line.amplitude,
-            size=line.amplitude,
-            unit="m",
-            frequency=line.frequency,
-        )
+        hum = _hum("displacement", line)
         found.append(hum.mended("a fit filters it, without a shift in time") if mend else hum)
     mended = mend or not any(each.kind is Kind.SPIKES for each in found)
     if mended and (count := jumps(samples.displacement)):
@@ -349,6 +343,16 @@ def _without_glitches(current: Array) -> tuple[Finding | None, Array]:
     return found, kept
 
 
+def _hum(channel: str, line: Line) -> Finding:
+    return Kind.HUM.found(
+        channel,
+        value=line.amplitude,
+        size=line.amplitude,
+        unit=UNITS[channel],
+        frequency=line.frequency,
+    )
+
+
 def _disturbances(samples: Samples) -> list[Line]:
     """Disturbances of the displacement that stand apart from the motion, and move no damper."""
     displacement, force, period = samples.displacement, samples.force, samples.period
@@ -393,14 +397,7 @@ def _quality(samples: Samples) -> Iterator[Finding]:
             and line.frequency > SIDEBANDS * moved.fastest
             and not moved.answers(line, moved.fastest)
         ):
-            hum = Kind.HUM.found(
-                "force",
-                value=line.amplitude,
-                size=line.amplitude,
-                unit="N",
-                frequency=line.frequency,
-            )
-            yield replace(hum, severity=NOTE)
+            yield replace(_hum("force", line), severity=NOTE)
     # The centre between the extremes, because a mean over incomplete cycles would be biased.
     middle, half = extent(force)
     if abs(middle) > _OFFSET * half:
@@ -420,17 +417,22 @@ def _lag_findings(samples: Samples) -> Iterator[Finding]:
         )
     skew, error = channel_skew(displacement, force, period)
     if error <= _DETERMINED and abs(skew) > max(_SKEW, _SURE * error):
-        late, early_channel = ("force", "displacement")[:: 1 if skew > 0.0 else -1]
-        yield Kind.SKEW.found(
-            late,
-            value=skew,
-            error=error,
-            late=late,
-            early=early_channel,
-            skew=1e3 * abs(skew),
-            doubt=1e3 * error,
-            lateness=skew,
-        )
+        yield skew_finding(skew, error)
+
+
+def skew_finding(late: float, error: float) -> Finding:
+    """The finding on a force that is recorded ``late`` [s], with its standard error [s]."""
+    channel, early = ("force", "displacement")[:: 1 if late > 0.0 else -1]
+    return Kind.SKEW.found(
+        channel,
+        value=late,
+        error=error,
+        late=channel,
+        early=early,
+        skew=1e3 * abs(late),
+        doubt=1e3 * error,
+        lateness=late,
+    )
 
 
 def _sign_findings(samples: Samples) -> Iterator[Finding]:
