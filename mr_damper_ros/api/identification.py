@@ -32,7 +32,7 @@ from mr_damper_ros.api.measured_runs import (
     measured_runs,
     without_inertia,
 )
-from mr_damper_ros.api.poor_fit import LARGEST_NRMSE, causes_of
+from mr_damper_ros.api.poor_fit import LARGEST_NRMSE, cause_of, steps_within
 from mr_damper_ros.data_check.currents import current_lateness, lateness_finding
 from mr_damper_ros.data_check.findings import Finding, Kind, labelled
 from mr_damper_ros.estimation.covariance import least_squares_covariance, noise_level
@@ -590,11 +590,16 @@ def _fitted_mass(fit: GlobalFit, windows: Sequence[Window], mass: float = 0.0) -
 
 
 def _fit_findings(runs: Sequence[FittedRun], found: ParameterSet) -> list[Finding]:
-    """Findings on each run of which the set explains too little, and on the cause."""
+    """Findings on steps within runs, on the cause of the worst fit, and on unexplained runs."""
+    errors = [(run.level or run.error).nrmse for run in runs]
+    worst = int(np.argmax(errors))
     findings = []
-    for run in runs:
-        nrmse = (run.level or run.error).nrmse
-        causes = causes_of(found, run.measured.longest, nrmse)
+    for place, (run, nrmse) in enumerate(zip(runs, errors, strict=True)):
+        window = run.measured.longest
+        causes = steps_within(found, window)
+        # The trials cost seconds, and one run shows what its law or its clocks lack.
+        if place == worst and not causes:
+            causes = cause_of(found.model, window, nrmse)
         if nrmse > LARGEST_NRMSE:
             causes.append(Kind.UNEXPLAINED.found(value=nrmse, nrmse=nrmse, limit=LARGEST_NRMSE))
         findings += [replace(each, source=run.name) for each in causes]

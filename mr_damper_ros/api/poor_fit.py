@@ -43,20 +43,18 @@ _ABRUPT = 0.9
 """Part of the variance that a step explains. A steady drift is explained to three quarters."""
 
 
-def causes_of(found: ParameterSet, window: Window, nrmse: float) -> list[Finding]:
-    """Findings on the causes of a poor fit of a set to the longest ``window`` of its run.
+def cause_of(model: str, window: Window, nrmse: float) -> list[Finding]:
+    """The best explanation of a poor fit of a law to a ``window``, as one finding; empty if none.
 
-    The trials fit the unknowns of one window. A shift in time can be told only from a motion of
+    The trials fit the unknowns of the window. A shift in time can be told only from a motion of
     several frequencies, since in a sine the hysteresis makes up for it.
     """
-    findings = _steps(found, window)
-    if findings or nrmse <= _POOR:
-        return findings
-    here = _nrmse(found.model, window)
-    causes = _other_law(found.model, window, here, nrmse)
+    if nrmse <= _POOR:
+        return []
+    here = _nrmse(model, window)
+    causes = _other_law(model, window, here, nrmse)
     if window.motion.sine is None:
-        causes += _shift(found.model, window, here)
-    # The better explanation, which has the smaller NRMSE.
+        causes += _shift(model, window, here)
     return [finding for _, finding in sorted(causes, key=lambda each: each[0])[:1]]
 
 
@@ -88,8 +86,10 @@ def _other_law(
 def _shift(model: str, window: Window, here: float) -> list[tuple[float, Finding]]:
     """NRMSE with the best shift in time, with a finding, if it is much better."""
     shifts = np.concatenate((-_SHIFTS[::-1], [0.0], _SHIFTS))
-    moved = (_with_shifted_force(window, shift) for shift in shifts.tolist())
-    errors = [_nrmse(model, each) for each in moved]
+    errors = [
+        _nrmse(model, _with_shifted_force(window, shift)) if shift else here
+        for shift in shifts.tolist()
+    ]
     place = int(np.argmin(errors))
     if errors[place] > _MUCH_BETTER * here:
         return []
@@ -107,7 +107,7 @@ def _with_shifted_force(window: Window, late: float) -> Window:
     return moved.part(inside)
 
 
-def _steps(found: ParameterSet, window: Window) -> list[Finding]:
+def steps_within(found: ParameterSet, window: Window) -> list[Finding]:
     """Findings on a gain or a zero of the force that changes at once within a window."""
     predicted = found.window_force(window)
     usual = float(np.std(predicted))

@@ -208,7 +208,7 @@ _MOST = 0.99
 _LEAST_LINES = 2
 """Smallest half-width of a band in spectral lines, which the window of the spectrum widens."""
 
-_REACH, _HARMONICS = 12.0, 2.2
+_REACH, HARMONICS = 12.0, 2.2
 """The surroundings of a band reach so many half-widths, and multiples of the fastest motion, to
 either side. The odd harmonics of the motion are two multiples apart."""
 
@@ -298,7 +298,7 @@ class Spectrum:
 
         half = self._half(width)
         own = _OWN * half
-        reach = max(round(max(_REACH * width, _HARMONICS * fastest) / self._step), 2 * own)
+        reach = max(round(max(_REACH * width, HARMONICS * fastest) / self._step), 2 * own)
         stand = np.zeros(bands.size, dtype=bool)
         if bands.size <= 2 * reach:
             return stand
@@ -319,7 +319,8 @@ def without_lines(values: Array, lines: list[Line], period: float) -> Array:
     for line in lines:
         # A narrow filter would leave the line at both ends of the samples.
         half = max(2.0 * line.width, _STOPPED * line.frequency)
-        band = np.clip(line.frequency + np.array([-half, half]), 0.1, 0.499 / period)
+        ends_of_band = line.frequency + np.array([-half, half])
+        band = np.clip(ends_of_band, 0.5 * line.frequency, 0.499 / period)
         stop = butter(2, band, "bandstop", fs=1.0 / period, output="sos")
         ends = min(round(_RINGING / (half * period)), values.size - 1)
         values = sosfiltfilt(stop, values, padlen=ends)

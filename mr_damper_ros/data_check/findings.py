@@ -50,9 +50,9 @@ class Finding:
     def __str__(self) -> str:
         return f"{self.source}: {self.sentence}" if self.source else self.sentence
 
-    def mended(self, how: str) -> Finding:
-        """The finding as a note, because the data were mended as ``how`` says."""
-        return replace(self, severity=NOTE, sentence=f"{self.sentence} ({how})")
+    def mended(self, how: str, severity: Severity = NOTE) -> Finding:
+        """The finding on data that were mended as ``how`` says; then it is usually a note."""
+        return replace(self, severity=severity, sentence=f"{self.sentence} ({how})")
 
     def document(self) -> dict[str, Any]:
         """The finding as JSON-compatible values."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mr_damper_ros.data_check.channels import (
+    HARMONICS,
     SIDEBANDS,
     Line,
     Spectrum,
@@ -50,7 +51,7 @@ _LARGEST_SPEED = 5.0
 _SPIKES = 0.06
 """Part of the samples that may be spikes, and does not count for the size of a channel."""
 
-SMALLEST_FORCE, _UNUSUAL_FORCE = 5.0, 2e5
+_SMALLEST_FORCE, _UNUSUAL_FORCE = 5.0, 2e5
 """Smallest plausible peak force [N], and the largest that is usual: the few larger MR dampers are
 those of buildings, and a small damper in the wrong unit seems as strong."""
 
@@ -182,7 +183,7 @@ def unit_findings(samples: Samples, *, moves: bool = True) -> Iterator[Finding]:
     largest = float(np.quantile(np.abs(samples.force), 1.0 - _SPIKES))
     if largest > LARGEST_FORCE:
         yield _wrong_unit("force", "reaches", largest, "another unit")
-    elif moves and 0.0 < largest < SMALLEST_FORCE:
+    elif moves and 0.0 < largest < _SMALLEST_FORCE:
         yield _wrong_unit("force", "reaches only", largest, "kilonewtons")
     elif largest > _UNUSUAL_FORCE:
         unusual = _wrong_unit("force", "reaches", largest, "another unit")
@@ -261,16 +262,17 @@ def _mended(given: Samples, *, mend: bool) -> tuple[Samples, list[Finding]]:
             clipped = Kind.CLIPPED.found(name, value=cut, how=f" at {where} {UNITS[name]}")
             # A cut displacement has no velocity, however little is cut off.
             if name == "force" and cut <= _LITTLE * extent(values)[1]:
-                clipped = replace(clipped.mended("little is cut off"), severity=NOTE)
+                clipped = clipped.mended("little is cut off")
             found.append(clipped)
             continue
         fault, bridged = _bridged(name, values, cycle)
         if fault is None:
             continue
-        coarse = fault.kind is Kind.HELD and cycle < _RENEWALS * fault.value
-        found.append(fault if coarse or not mend else fault.mended("a fit bridges them"))
         if mend:
+            too_slow = fault.kind is Kind.HELD and cycle < _RENEWALS * fault.value
+            fault = fault.mended("a fit bridges this", WARN if too_slow else NOTE)
             samples = replace(samples, **{name: bridged})  # type: ignore[arg-type]
+        found.append(fault)
     glitches, current = _without_glitches(given.current)
     if glitches is not None:
         found.append(glitches.mended("a fit uses the readings before them") if mend else glitches)
@@ -298,10 +300,7 @@ def _bridged(name: str, values: Array, cycle: float) -> tuple[Finding | None, Ar
     if count:
         kept = np.interp(places, places[~wild], values[~wild])
         size = float(np.max(np.abs(values - kept)))
-        finding = Kind.SPIKES.found(
-            name, value=count, count=count, size=size, unit=UNITS[name], whole=values.size
-        )
-        return finding, kept
+        return Kind.SPIKES.found(name, value=count, count=count, size=size, unit=UNITS[name]), kept
     step = held_steps(values)
     if step == 1:
         return None, values
@@ -327,12 +326,10 @@ def _without_glitches(current: Array) -> tuple[Finding | None, Array]:
     pieces = np.split(current, edges)
     levels = np.array([float(np.median(piece)) for piece in pieces])
     sizes = np.array([piece.size for piece in pieces])
-    alike = np.abs(levels - float(np.median(current))) <= SAME_CURRENT
-    wrong = ~alike
-    inside = wrong[1:-1] & alike[:-2] & alike[2:]
-    if wrong[0] or wrong[-1] or not np.array_equal(inside, wrong[1:-1]):
-        return None, current
-    if sizes[wrong].sum() > _MOST_GLITCHES * current.size:
+    wrong = np.abs(levels - float(np.median(current))) > SAME_CURRENT
+    alone = np.append(~wrong[1:], False) & np.append(False, ~wrong[:-1])
+    few = sizes[wrong].sum() <= _MOST_GLITCHES * current.size
+    if not wrong.any() or not few or np.any(wrong & ~alone):
         return None, current
     count = int(np.count_nonzero(wrong))
     size = float(np.max(np.abs(levels[wrong] - float(np.median(current)))))
@@ -362,7 +359,7 @@ def _disturbances(samples: Samples) -> list[Line]:
     found, fastest = [], motion.fastest
     for line in motion.standing_apart(fastest):
         ripple = 2.0 * math.pi * line.frequency * line.amplitude
-        if ripple < _HUM_OF_SPEED * speed:
+        if ripple < _HUM_OF_SPEED * speed or line.frequency < HARMONICS * fastest:
             continue
         known = answer.amplitude(line) if answer.answers(line, fastest) else 0.0
         if known < _ANSWER * damping * ripple:

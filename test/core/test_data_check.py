@@ -262,6 +262,22 @@ def test_a_coarse_displacement_is_not_taken_for_a_slow_one() -> None:
     assert held_steps(np.round(sound().displacement / 2e-4) * 2e-4) == 1
 
 
+@pytest.mark.parametrize("step", [0.06, 0.3])
+def test_a_current_that_is_commanded_has_no_glitches(step: float) -> None:
+    # Small steps about one level, and larger ones for longer than a reading.
+    current = 1.0 + step * np.repeat(np.random.default_rng(0).choice([-0.5, 0.0, 0.5], 60), 100)
+    assert kinds(replace(sound(), current=current)) == {}
+
+
+def test_the_slowest_disturbance_that_is_filtered_lies_above_the_motion() -> None:
+    # Two tones of one slow motion; there is room between them, but no hum.
+    time = np.arange(20_000) * 0.01
+    displacement = 8e-3 * np.sin(0.3 * time) + 4e-4 * np.sin(2.0 * time)
+    force = 800.0 * np.tanh(np.gradient(displacement, 0.01) / 1e-3)
+    checked = check_samples(Samples(displacement, force, np.ones(time.size), 0.01))
+    assert Kind.HUM not in [each.kind for each in checked.findings]
+
+
 # -- time ----------------------------------------------------------------------------------------
 
 
