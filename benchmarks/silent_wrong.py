@@ -839,9 +839,15 @@ def _groups(chosen: Sequence[Case]) -> list[list[Case]]:
     return [ordered[first : first + size] for first in range(0, len(ordered), size)]
 
 
-def judge_all(every: int = 1, seed: int = 0) -> list[Judged]:
-    """All judged cases, or one in ``every``, sorted by their kind."""
-    groups = _groups(cases(seed)[seed % every :: every])
+def judge_all(every: int = 1, seed: int = 0, kinds: Sequence[str] = ("",)) -> list[Judged]:
+    """All judged cases, or one in ``every``, sorted by their kind.
+
+    Only those of kinds whose names contain one of the given words.
+    """
+    chosen = [
+        case for case in cases(seed) if any(word in KINDS[case.kind].name for word in kinds)
+    ]
+    groups = _groups(chosen[seed % every :: every])
     order = [kind.name for kind in KINDS]
     found = [one for group in in_processes(_judged, groups) for one in group]
     return sorted(found, key=lambda one: order.index(one.kind))
@@ -888,12 +894,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--list", action="store_true", help="print every case")
     parser.add_argument("--every", type=int, default=1, help="of so many cases, one")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--kinds", nargs="+", default=[""], help="only kinds with these words")
     options = parser.parse_args(arguments)
     if options.list:
         print("left out, because the data cannot show them:")
         print(*(f"  {what}: {why}" for what, why in LEFT_OUT.items()), sep="\n", end="\n\n")
         print("verdict, NRMSE of the sound fit, unchecked, given; size; record; findings")
-        print(*_listed(judge_all(options.every, options.seed)), sep="\n")
+        print(*_listed(judge_all(options.every, options.seed, options.kinds)), sep="\n")
     else:
         for key, value in figures(options.every, options.seed).items():
             print(key, value)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mr_damper_ros.api import details
+from mr_damper_ros.api.causes import Explained, causes
 from mr_damper_ros.api.comparison import (
     RUN_COLUMNS,
     ComparedRun,
@@ -32,8 +33,6 @@ from mr_damper_ros.api.measured_runs import (
     measured_runs,
     without_inertia,
 )
-from mr_damper_ros.api.poor_fit import LARGEST_NRMSE, cause_of, steps_within
-from mr_damper_ros.data_check.currents import current_lateness, lateness_finding
 from mr_damper_ros.data_check.findings import Finding, Kind, labelled
 from mr_damper_ros.estimation.covariance import least_squares_covariance, noise_level
 from mr_damper_ros.estimation.differential_evolution import (
@@ -481,8 +480,12 @@ def identify_measured(
     duration = time.monotonic() - began
     best, fitted = searches.best.parameter_set, _fitted(searches, measured)
     slopes = details.negative_slopes({run.name: run.coefficients for run in fitted}, best)
-    late = lateness_finding(*current_lateness(best, windows))
-    found = (*findings_on(measured), *slopes, *late, *_fit_findings(fitted, best))
+    shown = [
+        Explained(run.comparison, run.measured.windows, (run.level or run.error).nrmse)
+        for run in fitted
+    ]
+    of_fit = causes(best, shown, levelled=bool(level_per_record))
+    found = (*findings_on(measured), *slopes, *of_fit)
     return Identification(
         parameter_set=replace(best, nrmse=pooled(run.error for run in fitted).nrmse),
         runs=fitted,
@@ -587,23 +590,6 @@ def _fitted_mass(fit: GlobalFit, windows: Sequence[Window], mass: float = 0.0) -
         bool(error * np.linalg.norm(inertia) < NOTICED * np.linalg.norm(force)),
         meaning="mass between load cell and damper",
     )
-
-
-def _fit_findings(runs: Sequence[FittedRun], found: ParameterSet) -> list[Finding]:
-    """Findings on steps within runs, on the cause of the worst fit, and on unexplained runs."""
-    errors = [(run.level or run.error).nrmse for run in runs]
-    worst = int(np.argmax(errors))
-    findings = []
-    for place, (run, nrmse) in enumerate(zip(runs, errors, strict=True)):
-        window = run.measured.longest
-        causes = steps_within(found, window)
-        # The trials cost seconds, and one run shows what its law or its clocks lack.
-        if place == worst and not causes:
-            causes = cause_of(found.model, window, nrmse)
-        if nrmse > LARGEST_NRMSE:
-            causes.append(Kind.UNEXPLAINED.found(value=nrmse, nrmse=nrmse, limit=LARGEST_NRMSE))
-        findings += [replace(each, source=run.name) for each in causes]
-    return findings
 
 
 def start_values_of(source: SetSource | None, model: str) -> Array:

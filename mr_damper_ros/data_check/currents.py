@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -11,9 +10,8 @@ import numpy as np
 
 from mr_damper_ros.data_check.findings import Finding, Kind
 from mr_damper_ros.kinematics.window import TURN, Window, turning_points
-from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import SAME_CURRENT
-from mr_damper_ros.signals.arrays import SIGMAS, Array
+from mr_damper_ros.signals.arrays import Array
 
 _CONTRADICTING = 1.5
 """Ratio of loop heights above which runs contradict each other.
@@ -101,78 +99,3 @@ def _ratio(one: tuple[float, float, float], two: tuple[float, float, float]) -> 
         return max(f1, f2) / max(min(f1, f2), _NO_FORCE)
     weak, strong = (f1, f2) if i1 < i2 else (f2, f1)
     return weak / max(strong, _NO_FORCE)
-
-
-_LATEST, _STEP = 0.3, 0.01
-"""Largest shift of a current that is tried, and the step between two [s]."""
-
-_PARTS = 10
-"""Number of parts of the windows whose scatter gives the error of the shift."""
-
-_SAMPLES = 4000
-"""Approximate number of samples of a window that are compared."""
-
-_FOLLOWS, _PRECEDES = 0.04, 0.01
-"""Delay [s] with which the field of a damper may follow its current, and by which a force seems to
-precede its current because of the error of the law."""
-
-_BETTER = 0.9
-"""Part of the squared error that is left with a shift that is reported, at most."""
-
-
-def current_lateness(found: ParameterSet, windows: Sequence[Window]) -> tuple[float, float]:
-    """How much later than the current the force changes [s], and its standard error [s].
-
-    It is the shift of the current with which a set explains the windows best, relative to the
-    current as it was recorded. NaN with an infinite error if the current is constant, or if no
-    shift explains the windows much better.
-    """
-    changing = [w for w in windows if float(np.ptp(w.current)) > 2.0 * SAME_CURRENT]
-    shifts = np.arange(-_LATEST, _LATEST + 0.5 * _STEP, _STEP)
-    if not changing:
-        return math.nan, math.inf
-    errors = np.array([_squared_errors(found, changing, shift) for shift in shifts.tolist()])
-
-    def best(sums: Array) -> float:
-        """The shift at the minimum of a parabola through the smallest of the errors (m,)."""
-        place = int(np.clip(np.argmin(sums), 1, sums.size - 2))
-        before, least, after = sums[place - 1 : place + 2]
-        bend = before - 2.0 * least + after
-        return float(shifts[place] + 0.5 * _STEP * (before - after) / bend if bend > 0.0 else 0.0)
-
-    whole = errors.sum(axis=1)
-    if whole.min() > _BETTER * whole[shifts.size // 2]:
-        return math.nan, math.inf
-    without = [best(whole - part) for part in errors.T]
-    return best(whole), math.sqrt((_PARTS - 1) * float(np.var(without)))
-
-
-def lateness_finding(late: float, error: float) -> list[Finding]:
-    """A finding on a force that follows the current too late, or precedes it; both in [s]."""
-    limit = _FOLLOWS if late > 0.0 else _PRECEDES
-    if not abs(late) > max(limit, SIGMAS * error):
-        return []
-    direction = "later" if late > 0.0 else "earlier"
-    return [
-        Kind.CURRENT_SKEW.found(
-            "current", value=late, error=error, late=abs(late), doubt=error, direction=direction
-        )
-    ]
-
-
-def _squared_errors(found: ParameterSet, windows: Sequence[Window], shift: float) -> Array:
-    """Squared errors [N²] of the set with a shifted current, summed over each part, (parts,)."""
-    sums = np.zeros(_PARTS)
-    for window in windows:
-        few = _shifted(window, shift).thinned(_SAMPLES)
-        square = (found.window_force(few) - few.force) ** 2
-        sums += [float(part.sum()) for part in np.array_split(square, _PARTS)]
-    return sums
-
-
-def _shifted(window: Window, shift: float) -> Window:
-    """The window with its current ``shift`` [s] later."""
-    places = np.arange(window.sample_count) - round(shift / window.period)
-    current = window.current[places.clip(0, window.sample_count - 1)]
-    whole = None if window.whole is None else _shifted(window.whole, shift)
-    return replace(window, current=current, whole=whole)

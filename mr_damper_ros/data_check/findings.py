@@ -233,6 +233,11 @@ class Kind(Enum):
         "the zero of the force changes by {step:+.3g} N at once within the run: was the load cell "
         "zeroed, or does it stick? Cut the run there",
     )
+    ZERO_DIFFERS = (
+        WARN,
+        "the zero of the force lies {step:+.3g} N from that of the other runs: was the load cell "
+        "zeroed between them? Give --level-per-record, or subtract it",
+    )
     GAIN_CHANGES = (
         WARN,
         "the force changes by {step:+.0%} at once within the run, at the same motion: does the "

@@ -8,9 +8,9 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from mr_damper_ros.api.causes import LARGEST_NRMSE
 from mr_damper_ros.api.details import Details, searches
 from mr_damper_ros.api.identification import AUTO, Identification, identify
-from mr_damper_ros.api.poor_fit import LARGEST_NRMSE
 from mr_damper_ros.estimation.differential_evolution import STRATEGIES
 from mr_damper_ros.estimation.experiment_design import MachineLimits
 from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS

@@ -1,0 +1,371 @@
+"""What the errors of an identified set show of its runs: wrong times, steps, zeros, another law."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from mr_damper_ros.api.comparison import Comparison
+from mr_damper_ros.data_check.findings import NOTE, WARN, Finding, Kind
+from mr_damper_ros.data_check.samples import skew_finding
+from mr_damper_ros.estimation.local_search import LocalSearch
+from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.misfit import ChosenParameters, Misfit
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.quantities import SAME_CURRENT
+from mr_damper_ros.signals.arrays import SIGMAS, Array
+from mr_damper_ros.signals.error_sums import pooled
+
+LARGEST_NRMSE = 0.3
+"""Largest acceptable NRMSE of a run; above it, the set explains too little of the force."""
+
+_LEAST_CHANGE = 0.025
+"""A cause matters if the force changes without it by more than this part of its standard deviation,
+and by more than the error that is left."""
+
+_SAMPLES, _EXCERPT = 2000, 40_000
+"""Approximate number of samples of a window that are fitted to find a cause, and number of those
+from which they are drawn."""
+
+
+def matters(change: float, left: float) -> bool:
+    """Whether a cause matters that changes the force this much; ``left`` is the NRMSE without it.
+
+    Both are relative to the standard deviation of the force.
+    """
+    return change > max(left, _LEAST_CHANGE)
+
+
+class Explained(NamedTuple):
+    """A run of an identified set: its forces and windows, and its NRMSE, with its own level."""
+
+    comparison: Comparison
+    windows: Sequence[Window]
+    nrmse: float
+
+
+def causes(
+    found: ParameterSet, runs: Sequence[Explained], *, levelled: bool = False
+) -> list[Finding]:
+    """Findings on the errors of a set; ``levelled``: each run has a zero of its own."""
+    findings = _times(found, [window for run in runs for window in run.windows])
+    findings += [each for run in runs for each in _steps(run.comparison)]
+    if not (levelled or findings):
+        findings += _zeros([run.comparison for run in runs])
+    worst = max(runs, key=lambda run: run.nrmse)
+    if not findings:
+        longest = max(worst.windows, key=lambda window: window.sample_count)
+        laws = _other_law(found.model, longest, worst.nrmse)
+        findings += [replace(each, source=worst.comparison.name) for each in laws]
+    for run in runs:
+        if run.nrmse > LARGEST_NRMSE:
+            each = Kind.UNEXPLAINED.found(value=run.nrmse, nrmse=run.nrmse, limit=LARGEST_NRMSE)
+            findings.append(replace(each, source=run.comparison.name))
+    return findings
+
+
+# -- fits of changed windows -----------------------------------------------------------------
+
+
+class _Refit(NamedTuple):
+    """The parameters (p,) that fit some windows best from a start, and their NRMSE."""
+
+    values: Array
+    nrmse: float
+
+
+def _refitted(found: ParameterSet, windows: Sequence[Window], start: Array) -> _Refit:
+    """Least squares over the parameters that are observable in the set."""
+    few = [found.held(window.thinned(_SAMPLES)) for window in windows]
+    misfit = Misfit(found.law, few, [float(np.std(window.force)) for window in few], start)
+    problem = ChosenParameters(misfit, start, np.flatnonzero(found.observable).tolist())
+    search = LocalSearch(problem, problem.start)
+    search.least_squares(tolerance=1e-4, most_steps=25)
+    values = problem.parameters(search.best)
+    return _Refit(values, math.sqrt(misfit.mean_square(values)))
+
+
+def _change(found: ParameterSet, values: Array, windows: Sequence[Window]) -> float:
+    """RMS change of the force of the set with other ``values`` (p,), relative to the deviation."""
+    few = [window.thinned(_SAMPLES) for window in windows]
+    other = replace(found, values=values)
+    squares = [
+        float(np.mean((other.window_force(w) - found.window_force(w)) ** 2) / np.var(w.force))
+        for w in few
+    ]
+    return math.sqrt(float(np.mean(squares)))
+
+
+def _excerpt(window: Window) -> Window:
+    """The middle of a long window."""
+    if window.sample_count <= _EXCERPT:
+        return window
+    return window.stretch((window.sample_count - _EXCERPT) // 2, _EXCERPT)
+
+
+# -- wrong times -----------------------------------------------------------------------------
+
+_SHIFTS = (1e-3, 2e-3, 4e-3, 7e-3, 10e-3, 15e-3, 20e-3, 30e-3, 40e-3, 60e-3)
+"""Shifts [s] of the force that are tried in both directions."""
+
+_EARLIER = 0.8
+"""Part of the NRMSE that a shift of the force leaves at most, where it is named. Dampers whose law
+is not exact leave 0.85 or more without a shift (``silent_wrong``)."""
+
+_HOPELESS = 1.3
+"""Ratio of the NRMSE to the best so far at which larger shifts are not tried."""
+
+_SEVERAL = 1.3
+"""Ratio of the frequencies of sines above which they determine a shift."""
+
+_MOST_WINDOWS = 6
+"""Largest number of windows that are shifted."""
+
+
+def _times(found: ParameterSet, windows: Sequence[Window]) -> list[Finding]:
+    """A finding on a force, or else on a current, that was recorded late or early."""
+    findings = _late_force(found, _telling(windows))
+    if not findings:
+        late, error = current_lateness(found, windows)
+        findings = lateness_finding(late, error)
+        if findings:
+            changing = [_with_shifted_current(w, late) for w in map(_excerpt, _changing(windows))]
+            refit = _refitted(found, changing, found.values)
+            serious = matters(_change(found, refit.values, changing), refit.nrmse)
+            findings = [replace(f, severity=WARN if serious else NOTE) for f in findings]
+    return findings
+
+
+def _telling(windows: Sequence[Window]) -> list[Window]:
+    """The windows that tell a shift in time from the hysteresis.
+
+    In a sine the hysteresis makes up for it; sines of several frequencies tell it together.
+    """
+    chosen = sorted(windows, key=lambda window: -window.sample_count)
+    free = [window for window in chosen if window.motion.sine is None]
+    if free:
+        return free[:_MOST_WINDOWS]
+    speeds = [w.motion.sine.frequency for w in chosen if w.motion.sine is not None]
+    return chosen[:_MOST_WINDOWS] if max(speeds) > _SEVERAL * min(speeds) else []
+
+
+def _late_force(found: ParameterSet, windows: Sequence[Window]) -> list[Finding]:
+    """A finding on the shift of the force with which the law explains the windows much better."""
+    if not windows or not found.observable.any():
+        return []
+    windows = [_excerpt(window) for window in windows]
+    here = _refitted(found, windows, found.values)
+    trials = {0.0: here}
+    for sign in (1.0, -1.0):
+        last = here
+        for size in _SHIFTS:
+            moved = [_with_shifted_force(window, sign * size) for window in windows]
+            last = trials[sign * size] = _refitted(found, moved, last.values)
+            if last.nrmse > _HOPELESS * min(each.nrmse for each in trials.values()):
+                break
+    late = min(trials, key=lambda shift: trials[shift].nrmse)
+    best = trials[late]
+    if best.nrmse > _EARLIER * here.nrmse:
+        return []
+    tried = sorted(trials)
+    place = tried.index(late)
+    near = tried[max(place - 1, 0) : place + 2]
+    doubt = 0.5 * (near[-1] - near[0]) / (len(near) - 1)
+    serious = matters(_change(found, best.values, windows), best.nrmse)
+    return [replace(skew_finding(late, doubt), severity=WARN if serious else NOTE)]
+
+
+def _with_shifted_force(window: Window, late: float) -> Window:
+    """The window with the force that was recorded ``late`` [s] moved back to its motion."""
+    places = np.arange(window.sample_count) + round(late / window.period)
+    inside = (places >= 0) & (places < window.sample_count)
+    moved = replace(window, force=window.force[places.clip(0, window.sample_count - 1)])
+    return moved.part(inside)
+
+
+_LATEST, _STEP = 0.3, 0.01
+"""Largest shift of a current that is tried, and the step between two [s]."""
+
+_PARTS = 10
+"""Number of parts of the windows whose scatter gives the error of the shift."""
+
+_FOLLOWS, _PRECEDES = 0.04, 0.01
+"""Delay [s] with which the field of a damper may follow its current, and by which a force seems to
+precede its current because of the error of the law."""
+
+_BETTER = 0.9
+"""Part of the squared error that is left with a shift that is reported, at most."""
+
+
+def _changing(windows: Iterable[Window]) -> list[Window]:
+    """The windows in which the current changes."""
+    return [w for w in windows if float(np.ptp(w.current)) > 2.0 * SAME_CURRENT]
+
+
+def current_lateness(found: ParameterSet, windows: Sequence[Window]) -> tuple[float, float]:
+    """How much later than the current the force changes [s], and its standard error [s].
+
+    It is the shift of the current with which a set explains the windows best, relative to the
+    current as it was recorded. NaN with an infinite error if the current is constant, or if no
+    shift explains the windows much better.
+    """
+    changing = _changing(windows)
+    shifts = np.arange(-_LATEST, _LATEST + 0.5 * _STEP, _STEP)
+    if not changing:
+        return math.nan, math.inf
+    errors = np.array([_squared_errors(found, changing, shift) for shift in shifts.tolist()])
+
+    def best(sums: Array) -> float:
+        """The shift at the minimum of a parabola through the smallest of the errors (m,)."""
+        place = int(np.clip(np.argmin(sums), 1, sums.size - 2))
+        before, least, after = sums[place - 1 : place + 2]
+        bend = before - 2.0 * least + after
+        return float(shifts[place] + 0.5 * _STEP * (before - after) / bend if bend > 0.0 else 0.0)
+
+    whole = errors.sum(axis=1)
+    if whole.min() > _BETTER * whole[shifts.size // 2]:
+        return math.nan, math.inf
+    without = [best(whole - part) for part in errors.T]
+    return best(whole), math.sqrt((_PARTS - 1) * float(np.var(without)))
+
+
+def lateness_finding(late: float, error: float) -> list[Finding]:
+    """A finding on a force that follows the current too late, or precedes it; both in [s]."""
+    limit = _FOLLOWS if late > 0.0 else _PRECEDES
+    if not abs(late) > max(limit, SIGMAS * error):
+        return []
+    direction = "later" if late > 0.0 else "earlier"
+    return [
+        Kind.CURRENT_SKEW.found(
+            "current", value=late, error=error, late=abs(late), doubt=error, direction=direction
+        )
+    ]
+
+
+def _squared_errors(found: ParameterSet, windows: Sequence[Window], shift: float) -> Array:
+    """Squared errors [N²] of the set with a shifted current, summed over each part, (parts,)."""
+    sums = np.zeros(_PARTS)
+    for window in windows:
+        few = _with_shifted_current(window, shift).thinned(2 * _SAMPLES)
+        square = (found.window_force(few) - few.force) ** 2
+        sums += [float(part.sum()) for part in np.array_split(square, _PARTS)]
+    return sums
+
+
+def _with_shifted_current(window: Window, shift: float) -> Window:
+    """The window with its current ``shift`` [s] later."""
+    places = np.arange(window.sample_count) - round(shift / window.period)
+    current = window.current[places.clip(0, window.sample_count - 1)]
+    whole = None if window.whole is None else _with_shifted_current(window.whole, shift)
+    return replace(window, current=current, whole=whole)
+
+
+# -- steps of zero and gain ------------------------------------------------------------------
+
+_PLACES = 20
+"""A step may lie between any two of so many parts of a run."""
+
+_DRAWN = 500
+"""Number of samples of a run that are compared."""
+
+_DRIFT = 0.7
+"""Part of the squared error with a steady drift that is left with steps, at most."""
+
+
+def _steps(run: Comparison) -> list[Finding]:
+    """A finding on a zero or a gain of the force that changes at once, once or twice, in a run."""
+    known = ~np.isnan(run.predicted)
+    drawn = np.flatnonzero(known)
+    if (size := drawn.size // _DRAWN) > 1:
+        # A constant stride would look at a few phases of the cycle.
+        parts = np.arange(0, _DRAWN * size, size)
+        drawn = drawn[parts + np.random.default_rng(0).integers(0, size, _DRAWN)]
+    if drawn.size < 2 * _PLACES or not np.std(run.predicted[drawn]) > 0.0:
+        return []
+    predicted, measured = run.predicted[drawn], run.measured[drawn]
+    places = np.linspace(0, drawn.size, _PLACES + 1).astype(int)[1:-1].tolist()
+    usual = [np.ones(drawn.size), predicted]
+    whole, _ = _left(usual, measured)
+    scale, time = math.sqrt(drawn.size) * float(np.std(measured)), np.linspace(-1, 1, drawn.size)
+    steps: list[tuple[float, Finding]] = []
+    for kind, amount in (
+        (Kind.ZERO_CHANGES, np.ones(drawn.size)),
+        (Kind.GAIN_CHANGES, predicted - predicted.mean()),
+    ):
+        drift, _ = _left([*usual, time * amount], measured)
+        for chosen in (*combinations(places, 1), *combinations(places, 2)):
+            edges = [amount * (np.arange(drawn.size) >= place) for place in chosen]
+            left, factors = _left([*usual, *edges], measured)
+            change = math.sqrt(max(whole - left, 0.0)) / scale
+            if left < _DRIFT * drift and matters(change, math.sqrt(left) / scale):
+                step = float(max(factors[2:], key=abs))
+                steps.append((left, replace(kind.found("force", value=step, step=step))))
+    named = sorted(steps, key=lambda each: each[0])[:1]
+    return [replace(finding, source=run.name) for _, finding in named]
+
+
+def _left(columns: Sequence[Array], values: Array) -> tuple[float, Array]:
+    """Sum of the squares that a combination of columns leaves of values, and its factors."""
+    matrix = np.column_stack(columns)
+    factors = np.linalg.lstsq(matrix, values, rcond=None)[0]
+    rest = values - matrix @ factors
+    return float(rest @ rest), np.asarray(factors)
+
+
+def _zeros(runs: Sequence[Comparison]) -> list[Finding]:
+    """A finding on the run whose zero differs most from those of the others, if it matters."""
+    if len(runs) < 2:
+        return []
+    zeros = np.array([float(np.nanmean(run.measured - run.predicted)) for run in runs])
+    apart = zeros - np.median(zeros)
+    place = int(np.argmax(np.abs(apart)))
+    errors = pooled(run.error for run in runs)
+    rest = max(errors.rmse**2 - float(np.mean(zeros**2)), 0.0)
+    spread = errors.rmse / errors.nrmse if errors.nrmse else math.inf
+    if not matters(float(np.std(zeros)) / spread, math.sqrt(rest) / spread):
+        return []
+    found = Kind.ZERO_DIFFERS.found("force", value=float(apart[place]), step=float(apart[place]))
+    return [replace(found, source=runs[place].name)]
+
+
+# -- another law -----------------------------------------------------------------------------
+
+_POOR = 0.08
+"""NRMSE above which fits of other laws are tried."""
+
+_MUCH_BETTER = 0.6
+"""Another law is named if its NRMSE is at most this part of that of the law."""
+
+_LAW_SAMPLES = 1500
+"""Approximate number of samples to which another law is fitted."""
+
+
+def _other_law(model: str, window: Window, nrmse: float) -> list[Finding]:
+    """A finding on a law that fits a window much better, with the unknowns of the window."""
+    if nrmse <= _POOR:
+        return []
+    here = min(_nrmse(model, window), nrmse)
+    trials = {other: _nrmse(other, window) for other in MODELS if other != model}
+    other = min(trials, key=trials.__getitem__)
+    if not trials[other] <= _MUCH_BETTER * here:
+        return []
+    better = trials[other]
+    found = Kind.OTHER_LAW.found(value=better, other=other, better=better, model=model, nrmse=here)
+    return [replace(found, severity=WARN if nrmse > LARGEST_NRMSE else NOTE)]
+
+
+def _nrmse(model: str, window: Window) -> float:
+    """NRMSE of the window fit of a law; infinite if it fails."""
+    law = MODELS[model]
+    start = law.initial_values()[0]
+    try:
+        return fit_window(law, window.thinned(_LAW_SAMPLES), start, method="least_squares").nrmse
+    except (ValueError, ArithmeticError):
+        return math.inf
