@@ -653,7 +653,7 @@ KINDS: tuple[Kind, ...] = (
     _kind(
         "zero of the load cell changes",
         _offset,
-        "offset contradicting zero_changes",
+        "offset contradicting zero_changes zero_differs",
         [("within", 0.05), ("within", 0.3), ("within", 0.6), ("between", 0.2), ("between", 0.4)],
     ),
     _kind(
@@ -844,9 +844,7 @@ def judge_all(every: int = 1, seed: int = 0, kinds: Sequence[str] = ("",)) -> li
 
     Only those of kinds whose names contain one of the given words.
     """
-    chosen = [
-        case for case in cases(seed) if any(word in KINDS[case.kind].name for word in kinds)
-    ]
+    chosen = [case for case in cases(seed) if any(word in KINDS[case.kind].name for word in kinds)]
     groups = _groups(chosen[seed % every :: every])
     order = [kind.name for kind in KINDS]
     found = [one for group in in_processes(_judged, groups) for one in group]

@@ -14,8 +14,8 @@ from mr_damper_ros.api.comparison import Comparison
 from mr_damper_ros.data_check.findings import NOTE, WARN, Finding, Kind
 from mr_damper_ros.data_check.samples import skew_finding
 from mr_damper_ros.estimation.local_search import LocalSearch
-from mr_damper_ros.estimation.window_fit import fit_window
-from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
+from mr_damper_ros.kinematics.window import TURN, Window, averages, turning_points
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.misfit import ChosenParameters, Misfit
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -33,6 +33,10 @@ and by more than the error that is left."""
 _SAMPLES, _EXCERPT = 2000, 40_000
 """Approximate number of samples of a window that are fitted to find a cause, and number of those
 from which they are drawn."""
+
+
+_POOR = 0.08
+"""NRMSE above which fits from other starts and of other laws are tried."""
 
 
 def matters(change: float, left: float) -> bool:
@@ -81,15 +85,40 @@ class _Refit(NamedTuple):
     nrmse: float
 
 
-def _refitted(found: ParameterSet, windows: Sequence[Window], start: Array) -> _Refit:
-    """Least squares over the parameters that are observable in the set."""
-    few = [found.held(window.thinned(_SAMPLES)) for window in windows]
-    misfit = Misfit(found.law, few, [float(np.std(window.force)) for window in few], start)
+def _refitted(
+    found: ParameterSet, windows: Sequence[Window], start: Array, *, anew: bool = False
+) -> _Refit:
+    """Least squares over the parameters that are observable in the set.
+
+    ``anew``: a poor result is compared with that from a fit of the first window.
+    """
+    few = [window.thinned(_SAMPLES) for window in windows]
+    misfit = Misfit(
+        found.law, [*map(found.held, few)], [float(np.std(window.force)) for window in few], start
+    )
     problem = ChosenParameters(misfit, start, np.flatnonzero(found.observable).tolist())
     search = LocalSearch(problem, problem.start)
     search.least_squares(tolerance=1e-4, most_steps=25)
-    values = problem.parameters(search.best)
-    return _Refit(values, math.sqrt(misfit.mean_square(values)))
+    fitted = replace(found, values=problem.parameters(search.best))
+    refit = _Refit(fitted.values, _nrmse_of(fitted, few))
+    if not anew or refit.nrmse <= _POOR:
+        return refit
+    other = _window_fit(found.model, few[0])
+    if other is None:
+        return refit
+    fitted = replace(found, values=other.parameters)
+    return min(refit, _Refit(fitted.values, _nrmse_of(fitted, few)), key=lambda fit: fit.nrmse)
+
+
+def _nrmse_of(found: ParameterSet, windows: Sequence[Window]) -> float:
+    """Root mean square of the NRMSE of a set in windows, as it predicts them."""
+    squares = []
+    for window in windows:
+        gradual = found.turns_gradually(window)
+        known = found.settled(window, gradual=gradual)
+        error = (found.window_force(window, gradual=gradual) - window.force)[known]
+        squares.append(float(error @ error) / max(error.size, 1) / float(np.var(window.force)))
+    return math.sqrt(float(np.mean(squares)))
 
 
 def _change(found: ParameterSet, values: Array, windows: Sequence[Window]) -> float:
@@ -115,15 +144,19 @@ def _excerpt(window: Window) -> Window:
 _SHIFTS = (1e-3, 2e-3, 4e-3, 7e-3, 10e-3, 15e-3, 20e-3, 30e-3, 40e-3, 60e-3)
 """Shifts [s] of the force that are tried in both directions."""
 
-_EARLIER = 0.8
-"""Part of the NRMSE that a shift of the force leaves at most, where it is named. Dampers whose law
-is not exact leave 0.85 or more without a shift (``silent_wrong``)."""
+_EARLY, _LATE = 0.8, 0.75
+"""Part of the NRMSE that a shift of an early or a late force leaves at most, where it is named. A
+damper with a lag seems to be late; those of ``silent_wrong`` leave 0.77 or more without a shift."""
 
 _HOPELESS = 1.3
 """Ratio of the NRMSE to the best so far at which larger shifts are not tried."""
 
-_SEVERAL = 1.3
-"""Ratio of the frequencies of sines above which they determine a shift."""
+_SEVERAL, _FEWEST_STROKES = 1.3, 8
+"""Ratio of the 90 % to the 10 % quantile of the durations of strokes above which they determine a
+shift, and their smallest number."""
+
+_STROKE_SAMPLES = 5000
+"""Approximate number of samples of a motion in which strokes are looked for."""
 
 _MOST_WINDOWS = 6
 """Largest number of windows that are shifted."""
@@ -144,35 +177,47 @@ def _times(found: ParameterSet, windows: Sequence[Window]) -> list[Finding]:
 
 
 def _telling(windows: Sequence[Window]) -> list[Window]:
-    """The windows that tell a shift in time from the hysteresis.
+    """The longest windows if they tell a shift in time from the hysteresis, otherwise none.
 
-    In a sine the hysteresis makes up for it; sines of several frequencies tell it together.
+    They must hold strokes of several durations: at a single frequency, the hysteresis makes up for
+    a shift.
     """
-    chosen = sorted(windows, key=lambda window: -window.sample_count)
-    free = [window for window in chosen if window.motion.sine is None]
-    if free:
-        return free[:_MOST_WINDOWS]
-    speeds = [w.motion.sine.frequency for w in chosen if w.motion.sine is not None]
-    return chosen[:_MOST_WINDOWS] if max(speeds) > _SEVERAL * min(speeds) else []
+    chosen = sorted(windows, key=lambda window: -window.sample_count)[:_MOST_WINDOWS]
+    chosen = [_excerpt(window) for window in chosen]
+    durations = [duration for window in chosen for duration in _strokes(window)]
+    if len(durations) < _FEWEST_STROKES:
+        return []
+    short, long = np.quantile(durations, (0.1, 0.9)).tolist()
+    return chosen if long > _SEVERAL * short else []
+
+
+def _strokes(window: Window) -> list[float]:
+    """Durations [s] of the strokes of a motion."""
+    position = averages(window.motion.displacement, _STROKE_SAMPLES)
+    places = turning_points(position.tolist(), TURN * float(np.ptp(position)))[1:-1]
+    duration = window.sample_count * window.period / position.size
+    return (np.diff(places) * duration).tolist()
 
 
 def _late_force(found: ParameterSet, windows: Sequence[Window]) -> list[Finding]:
     """A finding on the shift of the force with which the law explains the windows much better."""
     if not windows or not found.observable.any():
         return []
-    windows = [_excerpt(window) for window in windows]
     here = _refitted(found, windows, found.values)
     trials = {0.0: here}
     for sign in (1.0, -1.0):
         last = here
         for size in _SHIFTS:
             moved = [_with_shifted_force(window, sign * size) for window in windows]
-            last = trials[sign * size] = _refitted(found, moved, last.values)
+            last = trials[sign * size] = _refitted(found, moved, last.values, anew=True)
             if last.nrmse > _HOPELESS * min(each.nrmse for each in trials.values()):
                 break
     late = min(trials, key=lambda shift: trials[shift].nrmse)
     best = trials[late]
-    if best.nrmse > _EARLIER * here.nrmse:
+    # The fits at other times may have found a better minimum.
+    again = _refitted(found, windows, best.values, anew=True)
+    most = (_LATE if late > 0.0 else _EARLY) * min(here.nrmse, again.nrmse)
+    if best.nrmse > min(most, 0.5 * LARGEST_NRMSE):
         return []
     tried = sorted(trials)
     place = tried.index(late)
@@ -337,9 +382,6 @@ def _zeros(runs: Sequence[Comparison]) -> list[Finding]:
 
 # -- another law -----------------------------------------------------------------------------
 
-_POOR = 0.08
-"""NRMSE above which fits of other laws are tried."""
-
 _MUCH_BETTER = 0.6
 """Another law is named if its NRMSE is at most this part of that of the law."""
 
@@ -361,11 +403,17 @@ def _other_law(model: str, window: Window, nrmse: float) -> list[Finding]:
     return [replace(found, severity=WARN if nrmse > LARGEST_NRMSE else NOTE)]
 
 
-def _nrmse(model: str, window: Window) -> float:
-    """NRMSE of the window fit of a law; infinite if it fails."""
+def _window_fit(model: str, window: Window) -> WindowFit | None:
+    """The fit of a law to a window from its initial values; None if it fails."""
     law = MODELS[model]
     start = law.initial_values()[0]
     try:
-        return fit_window(law, window.thinned(_LAW_SAMPLES), start, method="least_squares").nrmse
+        return fit_window(law, window.thinned(_LAW_SAMPLES), start, method="least_squares")
     except (ValueError, ArithmeticError):
-        return math.inf
+        return None
+
+
+def _nrmse(model: str, window: Window) -> float:
+    """NRMSE of the window fit of a law; infinite if it fails."""
+    fit = _window_fit(model, window)
+    return math.inf if fit is None else fit.nrmse

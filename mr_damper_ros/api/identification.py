@@ -406,6 +406,7 @@ def identify(
             (displacement, force, current, period),
             accept_doubtful=accept_doubtful,
             as_measured=as_measured,
+            fragments=as_measured,
             processes=processes,
             tell=None if report is None else partial(_tell, report),
         )
@@ -696,6 +697,7 @@ def choose_law(
             runs,
             (displacement, force, current, period),
             accept_doubtful=accept_doubtful,
+            fragments=False,
             processes=processes,
             tell=None if report is None else partial(_tell, report),
         )

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mr_damper_ros.data_check.currents import current_findings
-from mr_damper_ros.data_check.findings import Finding
+from mr_damper_ros.data_check.findings import Finding, Kind
+from mr_damper_ros.data_check.lag import motion_frequency
 from mr_damper_ros.data_check.recordings import usable_run
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
@@ -65,8 +66,9 @@ def measured_run(
 ) -> MeasuredRun:
     """A run from a bag or a recording; ``notify`` receives the progress in words.
 
-    Raises DataError if a finding refuses the run; with ``accept_doubtful``, only if the
-    displacement or the force is constant. ``as_measured``: mend and leave out nothing. Raises
+    It has no windows if it is shorter than a cycle. Raises DataError if a finding refuses the run;
+    with ``accept_doubtful``, only if the displacement or the force is constant. ``as_measured``:
+    mend and leave out nothing. Raises
     ValueError for another source.
     """
     name = run_name(source)
@@ -80,14 +82,50 @@ def measured_run(
             "recording, or name the arrays (displacement=, force=, current=, period=)"
         )
     checked = usable_run(name, recordings, accept_doubtful=accept_doubtful, mend=not as_measured)
+    windows = () if _is_short(checked.findings) else _windows(name, checked.sections)
+    return MeasuredRun(name, checked.sections, windows, checked.findings)
+
+
+def _is_short(findings: Iterable[Finding]) -> bool:
+    return any(each.kind is Kind.SHORT for each in findings)
+
+
+def _windows(name: str, sections: Iterable[Recording]) -> tuple[Window, ...]:
+    """The windows of a run; raises DataError for one that cannot be fitted."""
     windows = []
-    for section in checked.sections:
+    for section in sections:
         samples = section.displacement, section.force, section.current, section.period
         try:
             windows.append(Window.from_samples(*samples).resolved())
         except DataError as error:
             raise DataError(f"{name}: {error}") from error
-    return MeasuredRun(name, checked.sections, tuple(windows), checked.findings)
+    return tuple(windows)
+
+
+def _without_fragments(runs: Sequence[MeasuredRun]) -> list[MeasuredRun]:
+    """The runs without those that are shorter than a cycle of the longest.
+
+    A fit of such a fragment would have the weight of a whole run.
+    """
+    whole = [run for run in runs if not _is_short(run.findings)]
+    if not whole:
+        return list(runs)
+    main = max(whole, key=lambda run: run.longest.sample_count)
+    longest = max(main.recordings, key=lambda recording: recording.sample_count)
+    cycle = 1.0 / max(motion_frequency(longest.displacement, longest.period), 1e-9)
+
+    def duration(run: MeasuredRun) -> float:
+        return sum(recording.duration for recording in run.recordings)
+
+    left_out = [run for run in runs if _is_short(run.findings) and duration(run) < cycle]
+    total = sum(map(duration, runs))
+    found = tuple(
+        replace(Kind.FRAGMENT.found(value=part, what="the run", share=part), source=run.name)
+        for run in left_out
+        for part in (duration(run) / total,)
+    )
+    kept = (run for run in runs if run not in left_out)
+    return [replace(r, findings=(*r.findings, *found)) if r is main else r for r in kept]
 
 
 def measured_runs(
@@ -96,12 +134,14 @@ def measured_runs(
     *,
     accept_doubtful: bool = False,
     as_measured: bool = False,
+    fragments: bool = True,
     processes: ProcessPool | None = None,
     tell: Callable[[str], object] | None = None,
 ) -> tuple[MeasuredRun, ...]:
     """All runs in the given order, followed by the run of the ``arrays``, if given.
 
-    ``tell`` receives the progress in words. Raises ValueError if there is no run, or one cannot be
+    ``tell`` receives the progress in words. Without ``fragments``, runs that are shorter than a
+    cycle of the longest are left out. Raises ValueError if there is no run, or one cannot be
     used.
     """
     flat = flat_runs(sources)
@@ -120,7 +160,11 @@ def measured_runs(
         return True
 
     found = (processes or ProcessPool()).map(_task, tasks, listen)
-    return tuple(run for run in found if run is not None)
+    loaded = [run for run in found if run is not None]
+    return tuple(
+        run if run.windows else replace(run, windows=_windows(run.name, run.recordings))
+        for run in (loaded if fragments else _without_fragments(loaded))
+    )
 
 
 def without_inertia(runs: Sequence[MeasuredRun], mass: float) -> tuple[MeasuredRun, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -277,15 +277,7 @@ def cut_run(run: PlannedRun, recording: Recording) -> Recording:
             f"{500.0 * np.ptp(displacement):.3g} mm, its duration {recording.duration:.3g} s, and "
             f"its current {np.median(recording.current):.3g} A{off}"
         )
-    part, celsius = slice(best, best + count), recording.temperature
-    return replace(
-        recording,
-        start_ns=recording.stamp_ns(best),
-        displacement=displacement[part],
-        force=recording.force[part],
-        current=recording.current[part],
-        temperature=None if celsius is None else celsius[part],
-    )
+    return recording.part(slice(best, best + count))
 
 
 def run_as_made(recording: Recording) -> PlannedRun:

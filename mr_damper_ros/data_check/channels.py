@@ -57,10 +57,14 @@ limit exponentially, 0.35 at the resolved distance."""
 
 
 class Limit(NamedTuple):
-    """An extreme at which a signal is clipped, and the estimated height of what is ``cut`` off."""
+    """An extreme at which a signal is clipped, and the estimated height of what is ``cut`` off.
+
+    ``stays`` are the stretches at the extreme.
+    """
 
     extreme: float
     cut: float
+    stays: tuple[slice, ...]
 
 
 def clipped_at(values: Array) -> list[Limit]:
@@ -80,9 +84,12 @@ def clipped_at(values: Array) -> list[Limit]:
         stays = [stay for stay in stretches(at_extreme) if stay.stop - stay.start >= _STAY]
         if not stays:
             continue
+        below = np.abs(values - extreme)
+        cut = _cut_off(below, stays)
         noisy = white_noise(values[~at_extreme]) > finest
-        if noisy or _arrives_at_speed(np.abs(values - extreme), stays, finest):
-            found.append(Limit(extreme, _cut_off(np.abs(values - extreme), stays)))
+        # A resolution that rounds an extreme cuts off a step or less.
+        if cut > 2.0 * finest and (noisy or _arrives_at_speed(below, stays, finest)):
+            found.append(Limit(extreme, cut, tuple(stays)))
     return found
 
 
@@ -121,36 +128,54 @@ def _arrives_at_speed(below: Array, stays: list[slice], finest: float) -> bool:
 
 # -- spikes ----------------------------------------------------------------------------------
 
-_OUTLIER, _JUMP = 12.0, 0.1
-"""A spike leaves its surroundings by this multiple of the noise or this part of the range,
-whichever is larger, and comes back."""
+_OUTLIER, _BENT = 12.0, 4.0
+"""A spike leaves its surroundings by this multiple of the noise, and of the usual bend of the
+signal over its width, and comes back."""
 
 _UNUSUAL, _USUAL_PART = 8.0, 0.95
 """A spike also exceeds this quantile of the excursions of the signal itself, by this factor."""
 
-_WIDEST = 5
-"""Largest width of a spike in samples."""
 
-_CYCLE_PART = 0.02
-"""Largest width of a spike in cycles of the motion: a force that reverses leaves and comes back,
-too, but takes longer."""
+class Shape(NamedTuple):
+    """What sets spikes apart from the signal itself.
+
+    ``jump``: smallest height of a spike, relative to the range; ``edge``: smallest step at both its
+    ends, in usual steps; ``widest``: largest width in samples; ``cycle_part``: in cycles of the
+    motion.
+    """
+
+    jump: float
+    edge: float
+    widest: int
+    cycle_part: float
 
 
-def spikes(values: Array, samples_per_cycle: float) -> Mask:
+SMOOTH, SHARP = Shape(0.0, 2.0, 8, 0.05), Shape(0.1, 0.0, 5, 0.02)
+"""A displacement, and a force, which leaves and comes back where the motion reverses."""
+
+
+def spikes(values: Array, samples_per_cycle: float, shape: Shape) -> Mask:
     """Mask (n,) of the spikes of a signal: short excursions that begin and end at one level.
 
     ``samples_per_cycle`` of the motion limits their width.
     """
     marked = np.zeros(values.size, dtype=bool)
-    limit = max(_OUTLIER * white_noise(values), 2.0 * _JUMP * extent(values)[1])
-    widest = min(_WIDEST, max(int(_CYCLE_PART * samples_per_cycle), 1))
-    for width in range(1, min(widest, values.size - 2) + 1):
+    least = max(_OUTLIER * white_noise(values), 2.0 * shape.jump * extent(values)[1])
+    steps = np.abs(np.diff(values))
+    edge = shape.edge * float(np.quantile(steps, 0.9))
+    widest = min(shape.widest, max(int(shape.cycle_part * samples_per_cycle), 1))
+    for width in range(1, min(widest, (values.size - 2) // 2) + 1):
         before, after = values[: -width - 1], values[width + 1 :]
         low, high = np.minimum(before, after), np.maximum(before, after)
+        half = width // 2 + 1
+        bends = np.abs(values[: -2 * half] + values[2 * half :] - 2.0 * values[half:-half])
+        limit = max(least, _BENT * 0.5 * float(np.quantile(bends, 0.9)))
+        # The first sample after lost ones may lie beyond its neighbours, too, but on one edge.
+        edges = (steps[: values.size - width - 1] >= edge) & (steps[width:] >= edge)
         for place in range(width):
             inside = slice(place + 1, values.size - width + place)
             beyond = np.maximum(values[inside] - high, low - values[inside])
-            wild = beyond > limit
+            wild = edges & (beyond > limit)
             if wild.any():
                 wild &= beyond > _UNUSUAL * np.quantile(beyond, _USUAL_PART)
                 marked[inside] |= wild
@@ -187,14 +212,15 @@ _LEAP = 3.0
 """A jump exceeds this multiple of the largest usual step of a displacement."""
 
 
-def jumps(values: Array) -> int:
-    """Number of steps of a displacement (n,) that no motion explains: samples are missing."""
+def jumps(values: Array) -> np.ndarray:
+    """Places before steps of a displacement (n,) that no motion explains: samples are missing."""
     steps = np.diff(values)
     usual = float(np.quantile(np.abs(steps), 0.99))
     places = np.flatnonzero(np.abs(steps) > max(_LEAP * usual, _OUTLIER * white_noise(values)))
     # The way out and back of a spike is no jump.
-    back = (np.diff(places) <= _WIDEST) & (steps[places[:-1]] * steps[places[1:]] < 0.0)
-    return places.size - int(np.count_nonzero(np.append(back, False) | np.append(False, back)))
+    back = (np.diff(places) <= SMOOTH.widest) & (steps[places[:-1]] * steps[places[1:]] < 0.0)
+    both = np.concatenate(([False], back, [False]))
+    return places[~(both[:-1] | both[1:])] if places.size else places
 
 
 # -- disturbances that stand apart -----------------------------------------------------------

@@ -192,8 +192,7 @@ class Kind(Enum):
     READER = NOTE, "{text}"
     FRAGMENT = (
         NOTE,
-        "{count} fragments that are shorter than a cycle of the motion, {share:.1%} of the "
-        "samples, were left out",
+        "{what}, {share:.1%} of the samples, shorter than a cycle of the motion, left out",
     )
     SHORT = WARN, "it holds less than a cycle of the motion: record some cycles"
     SEVERAL_CURRENTS = (

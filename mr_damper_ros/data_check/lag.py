@@ -39,6 +39,9 @@ _PAST_CYCLES, _EQUAL_CYCLES = 4, 0.05
 """Number of past cycles that affect the hysteresis, and their largest relative difference."""
 
 
+_USUAL = 0.75
+"""Quantile of speed and distance that gives the frequency of a motion."""
+
 _UNKNOWN = (math.nan, math.inf)
 
 
@@ -53,14 +56,29 @@ class Lead(NamedTuple):
     mass: float
 
 
+def _coarse(displacement: Array, period: float) -> tuple[Array, Array]:
+    """Displacement about its middle and velocity, of means over 5 ms, which hold little noise."""
+    size = max(round(5e-3 / period), 1)
+    means = displacement[: displacement.size // size * size].reshape(-1, size).mean(axis=1)
+    middle = float(np.median(means)) if means.size else 0.0
+    return means - middle, np.diff(means) / (size * period)
+
+
 def motion_frequency(displacement: Array, period: float) -> float:
-    """Approximate frequency [Hz] of a motion (n,), 0 if it cannot be estimated."""
-    coarse = max(round(5e-3 / period), 1)
-    means = displacement[: displacement.size // coarse * coarse].reshape(-1, coarse).mean(axis=1)
-    if means.size < 3 or np.std(means) == 0.0:
+    """Approximate frequency [Hz] of a motion (n,), 0 if it cannot be estimated.
+
+    Quantiles ignore spikes and rests; those of a sine are proportional to its amplitude.
+    """
+    distances, speeds = _coarse(displacement, period)
+    if speeds.size < 2:
         return 0.0
-    velocity = float(np.std(np.diff(means))) / (coarse * period)
-    return velocity / (2.0 * math.pi * float(np.std(means)))
+    distance, speed = (float(np.quantile(np.abs(x), _USUAL)) for x in (distances, speeds))
+    return speed / (2.0 * math.pi * distance) if distance > 0.0 else 0.0
+
+
+def usual_speed(displacement: Array, period: float) -> float:
+    """Root mean square of the velocity [m/s] of a motion (n,) [m]."""
+    return float(np.sqrt(np.mean(_coarse(displacement, period)[1] ** 2)))
 
 
 def _smoother(displacement: Array, period: float) -> SavitzkyGolay | None:

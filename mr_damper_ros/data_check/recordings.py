@@ -68,7 +68,8 @@ def check_run(recordings: Sequence[Recording], *, mend: bool = True) -> CheckedR
     elif left_out := len(recordings) - len(used):
         total = sum(each.sample_count for each in recordings)
         share = 1.0 - sum(each.sample_count for each in used) / total
-        found.append(Kind.FRAGMENT.found(value=share, count=left_out, share=share))
+        what = f"{left_out} fragment{'s' * (left_out > 1)}"
+        found.append(Kind.FRAGMENT.found(value=share, what=what, share=share))
     sections = []
     for recording in used:
         given = _samples(recording)
@@ -80,7 +81,7 @@ def check_run(recordings: Sequence[Recording], *, mend: bool = True) -> CheckedR
             found.append(Kind.READER.found(text=note))
         if checked.samples is not given:
             recording = replace(recording, **vars(checked.samples))
-        sections.append(recording)
+        sections += [recording.part(part) for part in checked.parts]
     return CheckedRun(tuple(sections), tuple(dict.fromkeys(found)))
 
 

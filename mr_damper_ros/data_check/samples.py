@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from mr_damper_ros.data_check.channels import (
     HARMONICS,
+    SHARP,
     SIDEBANDS,
+    SMOOTH,
+    Limit,
     Line,
     Spectrum,
     clipped_at,
@@ -24,10 +28,16 @@ from mr_damper_ros.data_check.channels import (
     without_lines,
 )
 from mr_damper_ros.data_check.findings import NOTE, REFUSE, WARN, Finding, Kind
-from mr_damper_ros.data_check.lag import channel_skew, force_lead, motion_frequency, smooth_velocity
-from mr_damper_ros.kinematics.window import TURN
+from mr_damper_ros.data_check.lag import (
+    channel_skew,
+    force_lead,
+    motion_frequency,
+    smooth_velocity,
+    usual_speed,
+)
+from mr_damper_ros.kinematics.window import TURN, holds_cycle
 from mr_damper_ros.models.quantities import SAME_CURRENT
-from mr_damper_ros.signals.arrays import NOISE_SPAN, SIGMAS, Array, white_noise
+from mr_damper_ros.signals.arrays import NOISE_SPAN, SIGMAS, Array, Mask, white_noise
 from mr_damper_ros.signals.moving_average import find_average
 from mr_damper_ros.signals.recording import (
     LARGEST_CURRENT,
@@ -90,8 +100,22 @@ damper whose inertia may be its cause."""
 _LITTLE = 0.04
 """Height cut off by clipping that does not matter, relative to half the range."""
 
-_RENEWALS = 12
-"""Smallest number of renewals in a cycle with which a channel that is held can be bridged."""
+_RENEWALS = {"displacement": 12, "force": 60}
+"""Smallest number of renewals in a cycle with which a channel that is held can be bridged; a force
+has corners."""
+
+_MOST_STUCK, _LONG = 0.25, 0.15
+"""Largest part of the samples that may be left out because a channel is stuck, and the shortest
+such stretch in cycles; a coarse displacement rests for less at its dead centres."""
+
+_REPEATING = 0.02
+"""Part of the samples of a channel with noise that repeats the sample before, at most."""
+
+_LEAST_USED = 0.5
+"""Smallest part of the samples that must be left where a run is cut."""
+
+_RESTORED = 0.1
+"""Longest stay of a displacement at a limit, in cycles, that can be restored."""
 
 _GROSS = {Kind.COARSE: 0.2, Kind.NOISE: 0.25}
 """Resolution and noise, relative to the standard deviation, above which they are warned of."""
@@ -112,10 +136,14 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """The findings on samples, and the ``samples`` as they are used, in which faults are mended."""
+    """The findings on samples, and the ``samples`` as they are used, in which faults are mended.
+
+    ``parts`` are the stretches that are used; more than one where samples are missing or useless.
+    """
 
     samples: Samples
     findings: tuple[Finding, ...]
+    parts: tuple[slice, ...] = (slice(None),)
 
     @property
     def refused(self) -> Finding | None:
@@ -131,20 +159,26 @@ def check_samples(given: Samples, *, mend: bool = True) -> Checked:
     """
     if given.force.size < _FEWEST:
         return Checked(given, ())
-    impossible = (*unit_findings(given), *_stuck(given))
-    if any(each.severity is REFUSE for each in impossible):
-        return Checked(given, impossible)
+    units, stuck = tuple(unit_findings(given)), _stuck(given)
     if given.force.size < _ENOUGH:
-        return Checked(given, (*impossible, *_sign_findings(given)))
+        found = [] if stuck is None else [stuck.finding]
+        return Checked(given, (*units, *found, *_sign_findings(given)))
     inverted = tuple(_sign_findings(given))
-    # With exchanged channels, the loop runs the other way round.
+    # With exchanged channels, the loop runs the other way round, and the units are wrong as well.
     if inverted and _exchanged(given.displacement, given.force):
         return Checked(given, (Kind.SWAPPED.found(),))
+    refused = [each for each in units if each.severity is REFUSE]
+    if stuck is not None and not (mend and stuck.share <= _MOST_STUCK):
+        refused.append(stuck.finding)
+    if refused:
+        return Checked(given, tuple(refused))
     samples, found = _mended(given, mend=mend)
-    if (count := find_average(given.force)) > 1:
+    lost, parts = _interruptions(samples, stuck, mend=mend)
+    held = any(each.kind is Kind.HELD and each.channel == "force" for each in found)
+    if not held and (count := find_average(given.force)) > 1:
         found.append(Kind.SMOOTHED.found("force", value=count, count=count))
     of_motion = inverted or tuple(_lag_findings(samples))
-    return Checked(samples, (*impossible, *found, *_quality(samples), *of_motion))
+    return Checked(samples, (*units, *lost, *found, *_quality(samples), *of_motion), parts)
 
 
 def check_window(given: Samples, *, moves: bool) -> Checked:
@@ -153,8 +187,8 @@ def check_window(given: Samples, *, moves: bool) -> Checked:
     ``moves``: whether the machine moves enough to judge more than units.
     """
     found: tuple[Finding, ...] = tuple(unit_findings(given, moves=moves))
-    if moves:
-        found += tuple(_stuck(given))
+    if moves and (stuck := _stuck(given)) is not None:
+        found += (stuck.finding,)
     checked = Checked(given, found)
     if checked.refused or not moves or given.force.size < _ENOUGH:
         return checked
@@ -207,27 +241,82 @@ def _wrong_unit(channel: str, reaches: str, size: float, other: str, unit: str =
     )
 
 
-def _stuck(samples: Samples) -> Iterator[Finding]:
-    """A finding on a constant force, or one that is constant while the motion reverses."""
+class _Stuck(NamedTuple):
+    """The finding on a channel that gets stuck, the stretch, and its share of the samples."""
+
+    finding: Finding
+    stretch: slice
+    share: float
+
+
+def _stuck(samples: Samples) -> _Stuck | None:
+    """A constant force, or a channel that is constant while the other one reverses."""
     displacement, force = samples.displacement, samples.force
     if np.ptp(force) == 0.0:
-        yield Kind.STUCK.found("force", how="does not change")
-        return
+        return _Stuck(Kind.STUCK.found("force", how="does not change"), slice(None), 1.0)
+    cycle = _cycle(samples)
     for name, values, other in (
         ("force", force, displacement),
         ("displacement", displacement, force),
     ):
-        same = longest(stretches(np.diff(values) == 0.0))
+        repeats = np.diff(values) == 0.0
+        same = longest(stretches(repeats))
         start, stop = same.start, same.stop + 1
         constant = np.ptp(values) == 0.0
-        if constant or stop - start < TURN * force.size or clipped_at(values):
+        # A channel with noise does not repeat itself, unless it is stuck.
+        alone = np.count_nonzero(repeats) - same.stop + same.start < _REPEATING * values.size
+        long = max(_LONG * cycle, _FEWEST) if alone else TURN * values.size
+        if constant or stop - start < long or clipped_at(values):
             continue
         stretch = other[start:stop]
         ends, extremes = stretch[[0, -1]], (stretch.max(), stretch.min())
         way_back = max(float(np.min(np.abs(ends - extreme))) for extreme in extremes)
-        if way_back > TURN * float(np.ptp(other)):
-            what = "motion" if name == "force" else "force"
-            yield Kind.STUCK.found(name, how=f"is constant although the {what} reverses")
+        least = TURN * float(np.ptp(other))
+        moves = name == "force" and alone and float(np.ptp(stretch)) > least
+        if moves or way_back > least:
+            what = "motion goes on" if name == "force" else "force reverses"
+            found = Kind.STUCK.found(name, how=f"is constant although the {what}")
+            return _Stuck(found, slice(start, stop), (stop - start) / values.size)
+    return None
+
+
+def _cycle(samples: Samples) -> float:
+    """Samples in a cycle of the motion; very many if it does not move."""
+    frequency = motion_frequency(samples.displacement, samples.period)
+    return 1.0 / max(frequency * samples.period, 1e-9)
+
+
+def _interruptions(
+    samples: Samples, stuck: _Stuck | None, *, mend: bool
+) -> tuple[list[Finding], tuple[slice, ...]]:
+    """Findings on a channel that got stuck and on missing samples, and the parts between them."""
+    found, gaps = list[Finding](), list[slice]()
+    if stuck is not None:
+        found.append(stuck.finding)
+        gaps.append(stuck.stretch)
+    places = jumps(samples.displacement) + 1
+    lost = [place for place in places.tolist() if not any(_near(place, gap) for gap in gaps)]
+    if lost:
+        found.append(Kind.MISSING.found("displacement", value=len(lost), count=len(lost)))
+        gaps += [slice(place, place) for place in lost]
+    whole = (slice(0, samples.force.size),)
+    if not (gaps and mend):
+        return found, whole
+    gaps.sort(key=lambda gap: gap.start)
+    starts, stops = [0, *(gap.stop for gap in gaps)], [*(gap.start for gap in gaps), whole[0].stop]
+    parts = tuple(
+        part
+        for part in map(slice, starts, stops)
+        if part.stop - part.start >= _cycle(samples) and holds_cycle(samples.displacement[part])
+    )
+    if sum(part.stop - part.start for part in parts) < _LEAST_USED * samples.force.size:
+        return found, whole
+    return [each.mended("the run is cut there") for each in found], parts
+
+
+def _near(place: int, gap: slice) -> bool:
+    """Whether a jump belongs to a stretch in which a channel is stuck."""
+    return gap.start - 1 <= place <= gap.stop + 1
 
 
 def _exchanged(displacement: Array, force: Array) -> bool:
@@ -250,26 +339,17 @@ def _roughness(values: Array) -> tuple[float, float]:
 
 def _mended(given: Samples, *, mend: bool) -> tuple[Samples, list[Finding]]:
     """The samples in which faults of single channels are mended, and the findings on them."""
-    cycle = 1.0 / max(motion_frequency(given.displacement, given.period) * given.period, 1e-9)
+    cycle = _cycle(given)
     samples, found = given, list[Finding]()
     for name in ("displacement", "force"):
         values: Array = getattr(samples, name)
         if coarse_step(values):
             continue
-        if limits := clipped_at(values):
-            where = " and ".join(f"{limit.extreme:.4g}" for limit in limits)
-            cut = max(limit.cut for limit in limits)
-            clipped = Kind.CLIPPED.found(name, value=cut, how=f" at {where} {UNITS[name]}")
-            # A cut displacement has no velocity, however little is cut off.
-            if name == "force" and cut <= _LITTLE * extent(values)[1]:
-                clipped = clipped.mended("little is cut off")
-            found.append(clipped)
-            continue
         fault, bridged = _bridged(name, values, cycle)
         if fault is None:
             continue
-        if mend:
-            too_slow = fault.kind is Kind.HELD and cycle < _RENEWALS * fault.value
+        if mend and bridged is not None:
+            too_slow = fault.kind is Kind.HELD and cycle < _RENEWALS[name] * fault.value
             fault = fault.mended("a fit bridges this", WARN if too_slow else NOTE)
             samples = replace(samples, **{name: bridged})  # type: ignore[arg-type]
         found.append(fault)
@@ -283,35 +363,64 @@ def _mended(given: Samples, *, mend: bool) -> tuple[Samples, list[Finding]]:
     for line in lines:
         hum = _hum("displacement", line)
         found.append(hum.mended("a fit filters it, without a shift in time") if mend else hum)
-    mended = mend or not any(each.kind is Kind.SPIKES for each in found)
-    if mended and (count := jumps(samples.displacement)):
-        found.append(Kind.MISSING.found("displacement", value=count, count=count))
     if lines and mend:
         quiet = without_lines(samples.displacement, lines, samples.period)
         samples = replace(samples, displacement=quiet)
     return samples, found
 
 
-def _bridged(name: str, values: Array, cycle: float) -> tuple[Finding | None, Array]:
-    """The finding on spikes or held values of a channel (n,), and the channel without them."""
-    wild = spikes(values, cycle)
-    count = int(np.count_nonzero(wild))
-    places = np.arange(values.size)
-    if count:
-        kept = np.interp(places, places[~wild], values[~wild])
-        size = float(np.max(np.abs(values - kept)))
-        return Kind.SPIKES.found(name, value=count, count=count, size=size, unit=UNITS[name]), kept
-    step = held_steps(values)
-    if step == 1:
-        return None, values
-    renewed = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
-    found = Kind.HELD.found(name, value=step, step=step)
+def _bridged(name: str, values: Array, cycle: float) -> tuple[Finding | None, Array | None]:
+    """The finding on held values, clipping or spikes of a channel (n,), and the channel without.
+
+    The channel is None if it cannot be mended.
+    """
+    renewed = np.ones(values.size, dtype=bool)
+    if (step := held_steps(values)) > 1:
+        renewed[1:] = np.diff(values) != 0.0
+        # Every held value looks like clipping.
+        if not clipped_at(values[renewed]):
+            return Kind.HELD.found(name, value=step, step=step), _between(name, values, renewed)
+    if limits := clipped_at(values):
+        return _clipped(name, values, limits, cycle)
+    wild = spikes(values, cycle, SMOOTH if name == "displacement" else SHARP)
+    if not wild.any():
+        return None, None
+    count, kept = int(np.count_nonzero(wild)), _between(name, values, ~wild)
+    size = float(np.max(np.abs(values - kept)))
+    return Kind.SPIKES.found(name, value=count, count=count, size=size, unit=UNITS[name]), kept
+
+
+def _between(name: str, values: Array, right: Mask) -> Array:
+    """A channel (n,), interpolated between its right values: by a spline if it is smooth."""
+    places, known = np.arange(values.size), np.flatnonzero(right)
     if name == "force":
-        return found, np.interp(places, renewed, values[renewed])
+        return np.interp(places, known, values[known])
     from scipy.interpolate import CubicSpline  # imported late: see entry_points
 
-    between = CubicSpline(renewed, values[renewed])(np.minimum(places, renewed[-1]))
-    return found, np.asarray(between)
+    return np.asarray(CubicSpline(known, values[known])(np.clip(places, known[0], known[-1])))
+
+
+def _clipped(
+    name: str, values: Array, limits: list[Limit], cycle: float
+) -> tuple[Finding, Array | None]:
+    """The finding on clipping, and a displacement that is restored after short stays."""
+    where = " and ".join(f"{limit.extreme:.4g}" for limit in limits)
+    cut = max(limit.cut for limit in limits)
+    found = Kind.CLIPPED.found(name, value=cut, how=f" at {where} {UNITS[name]}")
+    if name == "force":
+        little = cut <= _LITTLE * extent(values)[1]
+        return found.mended("little is cut off") if little else found, None
+    restored = values.copy()
+    for stay in (stay for limit in limits for stay in limit.stays):
+        length = stay.stop - stay.start
+        around = slice(max(stay.start - length, 0), min(stay.stop + length, values.size))
+        if length > _RESTORED * cycle or around.stop - around.start < 3 * length:
+            return found, None
+        places = np.arange(around.start, around.stop)
+        known = (places < stay.start) | (places >= stay.stop)
+        line = np.polynomial.Polynomial.fit(places[known], values[around][known], 4)
+        restored[stay] = line(places[~known])
+    return found, restored
 
 
 def _without_glitches(current: Array) -> tuple[Finding | None, Array]:
@@ -354,7 +463,7 @@ def _disturbances(samples: Samples) -> list[Line]:
     """Disturbances of the displacement that stand apart from the motion, and move no damper."""
     displacement, force, period = samples.displacement, samples.force, samples.period
     motion, answer = Spectrum(displacement, period), Spectrum(force, period)
-    speed = 2.0 * math.pi * motion_frequency(displacement, period) * float(np.std(displacement))
+    speed = usual_speed(displacement, period)
     damping = float(np.std(force)) / max(speed, 1e-12)
     found, fastest = [], motion.fastest
     for line in motion.standing_apart(fastest):

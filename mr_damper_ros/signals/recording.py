@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -119,6 +119,17 @@ class Recording:
     def time(self) -> Array:
         """Time of each sample [s] since the first, shape (n,)."""
         return np.arange(self.sample_count, dtype=np.float64) * self.period
+
+    def part(self, chosen: slice) -> Recording:
+        """The samples of a slice without a stride."""
+        first, last, _ = chosen.indices(self.sample_count)
+        if (first, last) == (0, self.sample_count):
+            return self
+        channels: dict[str, Any] = {
+            name: None if (values := getattr(self, name)) is None else values[chosen]
+            for name in ("displacement", "force", "current", "temperature")
+        }
+        return replace(self, start_ns=self.stamp_ns(first), **channels)
 
     def stamp_ns(self, index: int) -> int:
         """Stamp of a sample [ns since the epoch]."""
