@@ -238,6 +238,7 @@ class RawTable(NamedTuple):
     ``place`` describes the location of a row in words, for messages. ``period`` is the sample
     period [s] according to the file, None if it is unknown. ``notes`` are sentences on what was
     left out or changed. ``breaks`` are the rows at which the file begins a new block of samples.
+    ``shown`` is the period [s] of a column of times that is not read, with the name of the column.
     """
 
     values: dict[str, Array]
@@ -245,6 +246,7 @@ class RawTable(NamedTuple):
     period: float | None = None
     notes: tuple[str, ...] = ()
     breaks: tuple[int, ...] = ()
+    shown: tuple[float, str] | None = None
 
 
 def too_long(name: str, maximum_samples: int) -> RecordError:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mr_damper_ros.io.binary_tables import FORMATS, read_binary_table
-from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, Columns, RecordError, parse_columns
+from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, Columns, RawTable, RecordError, parse_columns
 from mr_damper_ros.io.text_tables import NO_OPTIONS, Progress, TextOptions, read_text_table
 from mr_damper_ros.kinematics.window import turning_points
 from mr_damper_ros.models.quantities import SAME_CURRENT
@@ -29,6 +29,9 @@ _JITTER_TO_MENTION = 0.01
 
 _SAME_PERIOD = 0.001
 """Largest relative difference of two periods that are the same but for rounding."""
+
+_SAME_STEP = 0.05
+"""The same for the step between times that are rounded."""
 
 _GAP = 1.5
 """A time step is a gap if it exceeds this multiple of the median step."""
@@ -427,10 +430,8 @@ def _read_samples(
     if count < 2:
         raise RecordError(f"{path.name} holds one row of numbers: at least two are needed")
     notes = list(table.notes)
-    if table.period is not None and period is not None and not _same(period, table.period):
-        notes.append(
-            f"{path.name} states a period of {table.period:.9g} s, but {period:.9g} s was given"
-        )
+    if period is not None:
+        _check_period(path.name, period, table)
     details = {"provenance": f"imported from {path.name}", "columns": wanted.text}
     if notes:
         details["note"] = "; ".join(notes)
@@ -440,8 +441,20 @@ def _read_samples(
     return record
 
 
-def _same(period: float, stated: float) -> bool:
-    return abs(period - stated) <= _SAME_PERIOD * stated
+def _check_period(name: str, period: float, table: RawTable) -> None:
+    """Raise RecordError if a sample period [s] is not the one that a file states."""
+    if table.period is not None:
+        stated, where, tolerance = table.period, name, _SAME_PERIOD
+    elif table.shown is not None:
+        stated, column = table.shown
+        where, tolerance = f"{column} of {name}", _SAME_STEP
+    else:
+        return
+    if abs(period - stated) > tolerance * stated:
+        raise RecordError(
+            f"{where} states a sample period of {stated:.4g} s, but {period:.4g} s was given: "
+            "correct it, or leave it out and name the column of the time (time:s)"
+        )
 
 
 def _check_current(wanted: Columns, current: float | None) -> None:

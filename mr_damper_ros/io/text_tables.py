@@ -21,7 +21,7 @@ from typing import TextIO, TypeVar
 
 import numpy as np
 
-from mr_damper_ros.io.columns import Columns, RawTable, RecordError, too_long
+from mr_damper_ros.io.columns import Columns, RawTable, RecordError, parse_unit, too_long
 from mr_damper_ros.io.headings import (
     Unit,
     check_unit,
@@ -313,6 +313,7 @@ class TextFile:
             period,
             (*outline.notes, *_other_sets(outline, positions), *samples.notes()),
             tuple(samples.breaks),
+            None if "time" in columns.quantities else _shown_period(outline, positions),
         )
 
     # -- the form of the table ---------------------------------------------------------------------
@@ -940,6 +941,26 @@ def _odd_rows(sample: list[Row], positions: list[int]) -> int:
 def _width(sample: Sequence[Row]) -> int:
     """The usual number of fields of the rows."""
     return Counter(len(fields) for _, fields in sample).most_common(1)[0][0]
+
+
+_EVEN = 0.1
+"""Largest relative deviation from the mean step of the first times of a uniform column."""
+
+
+def _shown_period(outline: Outline, positions: Sequence[int]) -> tuple[float, str] | None:
+    """The step [s] of a column of times among the others, and its name; None if there is none."""
+    for column in outline.numeric:
+        unit = outline.unit(column)
+        if column in positions or outline.quantity(column) != "time" or unit is None:
+            continue
+        marks = Marks(decimal="," if any("," in row[column] for _, row in outline.sample) else ".")
+        times = [number_of(fields[column], marks) for _, fields in outline.sample]
+        steps = np.diff([time for time in times if time is not None])
+        usual = float(np.mean(steps)) if steps.size else 0.0
+        if usual > 0.0 and np.all(np.abs(steps - usual) <= _EVEN * usual):
+            factor = parse_unit("time", unit.text)[0]
+            return usual * factor, f"column {column + 1}, '{outline.heading(column)}',"
+    return None
 
 
 def _headings(

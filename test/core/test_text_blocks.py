@@ -322,10 +322,26 @@ def test_units_that_agree_or_cannot_be_read_are_no_contradiction(
     assert note_of(saved(tmp_path, [*head, *rows()]), columns) == ""
 
 
-def test_another_period_than_the_file_states_is_said(tmp_path: Path) -> None:
+@pytest.mark.parametrize("head", ["Time [s],Stroke [mm],Load [N]", "Time,Stroke,Load\ns,mm,N"])
+@pytest.mark.parametrize(("period", "right"), [(0.01, True), (0.02, False), (0.001, False)])
+def test_a_period_is_compared_with_the_times_that_are_skipped(
+    tmp_path: Path, head: str, period: float, right: bool
+) -> None:
+    lines = [*head.splitlines(), *(f"{k / 100:.2f},{row}" for k, row in enumerate(untimed()))]
+    path, columns = saved(tmp_path, lines), f"-,{UNTIMED}"
+    if right:
+        assert read_record(path, columns, current=0.5, period=period).period == period
+    else:
+        with pytest.raises(
+            RecordError, match=r"', of run.csv states a sample period of 0.01 s"
+        ):
+            read_record(path, columns, current=0.5, period=period)
+
+
+def test_another_period_than_the_file_states_is_refused(tmp_path: Path) -> None:
     head = ["LabVIEW Measurement", "Delta_X\t0.01\t0.01", "***End_of_Header***", "X_Value\tS\tL"]
     lines = [*head, *("\t" + row.replace(",", "\t") for row in untimed())]
     path = saved(tmp_path, lines)
     assert read_record(path, f"-,{UNTIMED}", current=0.5).period == 0.01
-    note = note_of(path, f"-,{UNTIMED}", period=0.02)
-    assert "run.csv states a period of 0.01 s, but 0.02 s was given" in note
+    with pytest.raises(RecordError, match=r"run.csv states a sample period of 0.01 s, but 0.02 s"):
+        read_record(path, f"-,{UNTIMED}", current=0.5, period=0.02)
