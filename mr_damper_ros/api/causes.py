@@ -26,9 +26,8 @@ from mr_damper_ros.signals.error_sums import pooled
 LARGEST_NRMSE = 0.3
 """Largest acceptable NRMSE of a run; above it, the set explains too little of the force."""
 
-_LEAST_CHANGE = 0.025
-"""A cause matters if the force changes without it by more than this part of its standard deviation,
-and by more than the error that is left."""
+_RATIO, _POINTS = 1.4, 0.02
+"""A cause matters if it increases the NRMSE of the set by this factor and by this much."""
 
 _SAMPLES, _EXCERPT = 2000, 40_000
 """Approximate number of samples of a window that are fitted to find a cause, and number of those
@@ -42,9 +41,10 @@ _POOR = 0.08
 def matters(change: float, left: float) -> bool:
     """Whether a cause matters that changes the force this much; ``left`` is the NRMSE without it.
 
-    Both are relative to the standard deviation of the force.
+    Both are relative to the standard deviation of the force, and independent of each other.
     """
-    return change > max(left, _LEAST_CHANGE)
+    error = math.hypot(change, left)
+    return error > max(_RATIO * left, left + _POINTS)
 
 
 class Explained(NamedTuple):

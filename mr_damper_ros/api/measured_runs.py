@@ -59,6 +59,13 @@ def run_name(source: object) -> str:
 
 
 def measured_run(
+    source: str | os.PathLike[str] | Recording, *, accept_doubtful: bool = False
+) -> MeasuredRun:
+    """A run from a bag or a recording; raises ValueError if it cannot be used."""
+    return _with_windows(_checked(source, accept_doubtful))
+
+
+def _checked(
     source: str | os.PathLike[str] | Recording,
     accept_doubtful: bool = False,
     as_measured: bool = False,
@@ -68,8 +75,7 @@ def measured_run(
 
     It has no windows if it is shorter than a cycle. Raises DataError if a finding refuses the run;
     with ``accept_doubtful``, only if the displacement or the force is constant. ``as_measured``:
-    mend and leave out nothing. Raises
-    ValueError for another source.
+    mend and leave out nothing. Raises ValueError for another source.
     """
     name = run_name(source)
     if isinstance(source, Recording):
@@ -84,6 +90,10 @@ def measured_run(
     checked = usable_run(name, recordings, accept_doubtful=accept_doubtful, mend=not as_measured)
     windows = () if _is_short(checked.findings) else _windows(name, checked.sections)
     return MeasuredRun(name, checked.sections, windows, checked.findings)
+
+
+def _with_windows(run: MeasuredRun) -> MeasuredRun:
+    return run if run.windows else replace(run, windows=_windows(run.name, run.recordings))
 
 
 def _is_short(findings: Iterable[Finding]) -> bool:
@@ -161,10 +171,7 @@ def measured_runs(
 
     found = (processes or ProcessPool()).map(_task, tasks, listen)
     loaded = [run for run in found if run is not None]
-    return tuple(
-        run if run.windows else replace(run, windows=_windows(run.name, run.recordings))
-        for run in (loaded if fragments else _without_fragments(loaded))
-    )
+    return tuple(map(_with_windows, loaded if fragments else _without_fragments(loaded)))
 
 
 def without_inertia(runs: Sequence[MeasuredRun], mass: float) -> tuple[MeasuredRun, ...]:
@@ -193,7 +200,7 @@ def all_windows(runs: Sequence[MeasuredRun]) -> list[Window]:
 
 
 def _task(task: tuple[str | Recording, bool, bool], notify: Notify) -> MeasuredRun:
-    return measured_run(*task, notify)
+    return _checked(*task, notify)
 
 
 def flat_runs(sources: Iterable[RunSource]) -> list[Any]:

@@ -21,6 +21,10 @@ _SLOPE = 0.1
 _FEWEST_ROWS = 20
 """Shortest record in which the zeros are resolved, as a multiple of the length of the average."""
 
+_SEEN_ROWS, _NARROW_ROWS = 12, 26
+"""Shortest record in which the zeros are seen, and in which they are resolved by the window of the
+spectrum, as multiples of the length of the average."""
+
 _LINE_WIDTH = 2.0
 _LINE_HEIGHT = 5.0
 """Half width [bins] of a spectral line, and its least power over the power between the lines; the
@@ -92,7 +96,7 @@ def find_average(values: Array) -> int:
     """
     middle = max(values.size - _ENOUGH, 0) // 2
     steps = np.diff(values[middle : middle + _ENOUGH])
-    longest = steps.size // _FEWEST_ROWS
+    longest = steps.size // _SEEN_ROWS
     power = np.abs(np.fft.rfft(steps * np.hanning(steps.size))) ** 2
     for count in range(longest, 2 * _FEWEST_HOLES - 1, -1):
         spacing = steps.size / count
@@ -105,7 +109,9 @@ def find_average(values: Array) -> int:
         # An averaged signal also has the zeros of each divisor of its count, so the longest count
         # is chosen. Beside the zeros there must be power; if not, the zeros are only the gaps
         # between the lines of a periodic signal.
-        deep = float(np.quantile(in_holes / between, 0.7)) < NEGLIGIBLE
+        # The window of the spectrum fills narrow holes.
+        least = NEGLIGIBLE * max(1.0, (_NARROW_ROWS / spacing) ** 2)
+        deep = float(np.quantile(in_holes / between, 0.7)) < least
         if deep and float(np.median(near / between)) > _SLOPE:
             return count
     return 1

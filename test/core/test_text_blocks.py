@@ -332,9 +332,7 @@ def test_a_period_is_compared_with_the_times_that_are_skipped(
     if right:
         assert read_record(path, columns, current=0.5, period=period).period == period
     else:
-        with pytest.raises(
-            RecordError, match=r"', of run.csv states a sample period of 0.01 s"
-        ):
+        with pytest.raises(RecordError, match=r"', of run.csv states a sample period of 0.01 s"):
             read_record(path, columns, current=0.5, period=period)
 
 
