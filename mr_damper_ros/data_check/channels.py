@@ -154,6 +154,17 @@ SMOOTH, SHARP = Shape(0.0, 2.0, 8, 0.05), Shape(0.1, 0.0, 5, 0.02)
 """A displacement, and a force, which leaves and comes back where the motion reverses."""
 
 
+_DRAWN = 50_000
+"""Number of values that give a quantile."""
+
+
+def _some(values: Array) -> Array:
+    """Values drawn at random if there are very many."""
+    if values.size <= _DRAWN:
+        return values
+    return values[np.random.default_rng(0).integers(0, values.size, _DRAWN)]
+
+
 def spikes(values: Array, samples_per_cycle: float, shape: Shape) -> Mask:
     """Mask (n,) of the spikes of a signal: short excursions that begin and end at one level.
 
@@ -162,14 +173,14 @@ def spikes(values: Array, samples_per_cycle: float, shape: Shape) -> Mask:
     marked = np.zeros(values.size, dtype=bool)
     least = max(_OUTLIER * white_noise(values), 2.0 * shape.jump * extent(values)[1])
     steps = np.abs(np.diff(values))
-    edge = shape.edge * float(np.quantile(steps, 0.9))
+    edge = shape.edge * float(np.quantile(_some(steps), 0.9))
     widest = min(shape.widest, max(int(shape.cycle_part * samples_per_cycle), 1))
     for width in range(1, min(widest, (values.size - 2) // 2) + 1):
         before, after = values[: -width - 1], values[width + 1 :]
         low, high = np.minimum(before, after), np.maximum(before, after)
         half = width // 2 + 1
         bends = np.abs(values[: -2 * half] + values[2 * half :] - 2.0 * values[half:-half])
-        limit = max(least, _BENT * 0.5 * float(np.quantile(bends, 0.9)))
+        limit = max(least, _BENT * 0.5 * float(np.quantile(_some(bends), 0.9)))
         # The first sample after lost ones may lie beyond its neighbours, too, but on one edge.
         edges = (steps[: values.size - width - 1] >= edge) & (steps[width:] >= edge)
         for place in range(width):
