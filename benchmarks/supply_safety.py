@@ -15,16 +15,21 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from contextlib import closing
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from mr_damper_msgs.msg import CurrentCommand
 
 from benchmarks.figure import Measured
 from benchmarks.nodes import Nodes
 from mr_damper_ros.emulation.instrument import EmulatedInstrument
 from mr_damper_ros.emulation.instrument_faults import INSTRUMENT_FAULTS, InstrumentFault
 from mr_damper_ros.emulation.instrument_server import InstrumentServer
+from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC
+from mr_damper_ros.nodes.messages import header
 from mr_damper_ros.processes.programs import PATIENCE, Program
 
 _CURRENT, _NONE = 1.0, 0.02
@@ -190,7 +195,7 @@ def figures(trials: int = 200, names: tuple[str, ...] = MISBEHAVING) -> Measured
         leads = np.linspace(-0.5, 0.5, max(trials // 10, 3)).tolist()
         times["dribble_off_s"] = [rig.dribble(lead) for lead in leads]
     found: Measured = {key: (max(each), f"Of {len(each)}.") for key, each in times.items()}
-    return {**found, **off_figures(names)}
+    return {**found, **off_figures(names), **commander_figures()}
 
 
 def off_figures(names: tuple[str, ...] = MISBEHAVING) -> Measured:
@@ -212,3 +217,63 @@ def off_figures(names: tuple[str, ...] = MISBEHAVING) -> Measured:
         "off_told_s": float(np.nanmax(told)),
         "off_told_right": (len(names) - len(wrong), "; ".join(wrong.values())),
     }
+
+
+def commander_figures(trials: int = 5) -> Measured:
+    """Let a second commander command, then the first one fall silent; default settings."""
+    told, followed, handed_over = zip(*(_two_commanders() for _ in range(trials)), strict=True)
+    return {
+        "second_commander_told_s": (max(told), f"Of {trials}."),
+        "second_commander_followed": sum(followed),
+        "hand_over_s": (max(handed_over), f"Of {trials}."),
+    }
+
+
+def _two_commanders() -> tuple[float, bool, float]:
+    """Times [s] to the refusal and to the hand-over, and whether the second one was obeyed."""
+    with Nodes() as nodes, closing(_server()) as server:
+        nodes.start("supply", address=server.address, profile="scpi")
+        pair = _Commanders(nodes)
+
+        def gives(current: float) -> Callable[[], bool]:
+            return lambda: abs(server.instrument.current() - current) < _NONE
+
+        pair.command({"/first": 0.5}, gives(0.5))
+        both = {"/first": 0.5, "/second": 1.5}
+        told = pair.command(both, lambda: "/second is refused" in pair.message)
+        followed = "CURR 1.5000" in server.lines
+        return told, followed, pair.command({"/second": 1.5}, gives(1.5))
+
+
+class _Commanders:
+    """Commanders that publish in turn, and the last message of the node about its commands."""
+
+    def __init__(self, nodes: Nodes) -> None:
+        self.message = ""
+        self._nodes = nodes
+        node = nodes.observer.node
+        self._publisher = node.create_publisher(CurrentCommand, COMMAND_TOPIC, 10)
+        nodes.observer.listen(DiagnosticArray, "/diagnostics", take=self._take)
+        nodes.observer.until(self._publisher.get_subscription_count, "the node")
+
+    def _take(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            if status.name == "supply: current":
+                self.message = status.message
+
+    def command(self, currents: dict[str, float], condition: Callable[[], bool]) -> float:
+        """Command these currents [A] by name, 20 times a second; returns the time [s] passed."""
+        observer = self._nodes.observer
+        began = due = time.monotonic()
+        while not condition():
+            now = time.monotonic()
+            if now - began > PATIENCE:
+                raise TimeoutError(f"the commands {currents} had no effect: {self.message}")
+            if now >= due:
+                due += 0.05
+                stamp = header(observer.node.get_clock().now().nanoseconds, "damper")
+                for name, current in currents.items():
+                    message = CurrentCommand(header=stamp, current=current, commander=name)
+                    self._publisher.publish(message)
+            observer.spin_once(0.002)
+        return time.monotonic() - began

@@ -267,7 +267,7 @@ class SupplyNode(ManagedNode):
             return Finding(ERROR, f"{drive.problem}; {_GOES_ON}", values)
         if drive is None:
             level = ERROR if self._problem else WARN
-            sentence = "not active: the output is off, no current was measured"
+            sentence = "not active: the output is measured to be off"
             return Finding(level, self._problem or sentence, values)
         values["complaints"] = drive.complaints
         if drive.last_complaint:
@@ -281,7 +281,9 @@ class SupplyNode(ManagedNode):
 
     def _find_current(self) -> Finding:
         if self._drive is None or self._commands is None:
-            return Finding(WARN, "no current: the output is off")
+            known = self._drive is None and not self._left_on
+            sentence = "no current: the output is off" if known else "the coil may carry a current"
+            return Finding(WARN if known else ERROR, sentence)
         state = self._drive
         found = self._commands.finding()
         values = {**found.values, "set [A]": state.given, "measured [A]": state.measured}

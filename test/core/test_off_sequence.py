@@ -122,7 +122,7 @@ def test_a_current_that_stays_is_not_confirmed_and_attempts_go_on() -> None:
     for _ in range(3):
         tried.attempt(off)
     assert off.verdict is Verdict.OFF
-    assert off.sentence == "no current is measured (0.000 A)"
+    assert off.sentence == "it is measured to be off (0.000 A)"
 
 
 def test_silence_lets_the_watchdog_act() -> None:
@@ -218,6 +218,14 @@ def test_off_is_said_of_a_coil_without_current_only_and_of_each_that_obeys(
     assert (off.verdict is Verdict.OFF) == obeys
     if off.verdict is Verdict.OFF:
         assert tried.coil <= TOLERANCE
+
+
+def test_an_instrument_with_a_long_time_limit_for_answers_is_given_this_time() -> None:
+    off = OffSequence(0.0, tolerance=TOLERANCE, halving=HALVING, timeout=1.5)
+    assert off.next(0.0).timeout == 1.5
+    off.missed(1.5, "late", sent=True)
+    off.missed(3.5, "late", sent=True)
+    assert not off.decided
 
 
 def test_a_current_that_halves_in_time_falls() -> None:

@@ -560,4 +560,4 @@ def test_it_goes_on_until_the_supply_is_off(live: InstrumentServer) -> None:
     assert len(said) == 1
     live.fault = INSTRUMENT_FAULTS["none"]
     until(lambda: thread.finished, "the end of the thread")
-    assert "no current is measured" in thread.problem
+    assert "it is measured to be off" in thread.problem

@@ -202,7 +202,7 @@ def test_after_a_cut_link_the_output_goes_off_over_a_new_one_and_stays_off(
     listener.until(gives(server, 0.7), "the current")
     server.cut()
     listener.until(off(server), "no current")
-    listener.wait_for_finding("supply: supply", "no current is measured (0.0")
+    listener.wait_for_finding("supply: supply", "it is measured to be off (0.0")
     assert listener.state("supply") == State.PRIMARY_STATE_INACTIVE
     assert listener.change("supply", Transition.TRANSITION_ACTIVATE)
     assert listener.set_parameter("supply", "current", 0.6).successful
@@ -276,7 +276,9 @@ def test_where_zero_is_refused_the_output_goes_off_when_the_commands_stop(
     listener.until(gives(server, 1.0), "the current")
     commander.current = None
     listener.until(off(server), "no current")
-    listener.wait_for_finding("supply: supply", "is set to zero current but gives 1.000 A; no curr")
+    listener.wait_for_finding(
+        "supply: supply", "is set to zero current but gives 1.000 A; it is me"
+    )
     assert listener.state("supply") == State.PRIMARY_STATE_INACTIVE
 
 

@@ -77,10 +77,11 @@ _MARGIN = 0.15
 """Time [s] for which a watchdog may be late, and for the current of the coil to fall."""
 
 _LONGEST_BLIND = 2.0
-"""Time [s] for an instrument to begin to measure, before it counts as not measuring."""
+"""Time [s] for an instrument to begin to measure, before it counts as not measuring; longer for an
+instrument with a long time limit for answers."""
 
-_FIRST_TIMEOUT, _LONGEST_TIMEOUT = 0.3, 2.0
-"""Time limits [s] for an answer: the first one, doubled after each missing answer."""
+_TIMEOUTS = 0.3, 2.0
+"""Range of the time limits [s] for an answer, which are doubled after each missing answer."""
 
 
 class OffSequence:
@@ -90,7 +91,8 @@ class OffSequence:
     The supply is off once two consecutive measurements, the second one after the command to switch
     the output off, are within ``tolerance`` [A] of zero. ``watchdog`` [s] is NaN without a
     watchdog; any line restarts it, so that it acts when nothing is sent. ``current`` [A] is the
-    last known current, for the sentence. ``at_once``: zero has failed before, or the link, so that
+    last known current, for the sentence, and ``timeout`` [s] the usual time limit for an answer.
+    ``at_once``: zero has failed before, or the link, so that
     the first attempt also switches the output off.
     """
 
@@ -100,13 +102,17 @@ class OffSequence:
         *,
         tolerance: float,
         halving: float,
+        timeout: float = 0.0,
         watchdog: float = math.nan,
         current: float = math.nan,
         at_once: bool = False,
     ) -> None:
         self.verdict = Verdict.PENDING
         self._tolerance, self._halving, self._watchdog = tolerance, halving, watchdog
-        self._began = self._last = now
+        low, high = _TIMEOUTS
+        self._timeout = min(max(timeout, low), high)
+        self._blind_until = now + max(_LONGEST_BLIND, 3.0 * self._timeout)
+        self._last = now
         self._last_sent = -math.inf
         self._current = abs(current)
         self._zeros = self._attempts = self._misses = 0
@@ -127,13 +133,13 @@ class OffSequence:
     def sentence(self) -> str:
         """The verdict in words, without a full stop."""
         if self.is_off:
-            return f"no current is measured ({self._current:.3f} A)"
+            return f"it is measured to be off ({self._current:.3f} A)"
         carries = "the coil may still carry current"
         if self._current > self._tolerance:
             carries = f"the coil may still carry {float(f'{self._current:.2g}')} A"
         if self._reason and math.isfinite(self._last_sent):
             return f"commanded off, not measured: {carries} ({self._reason})"
-        reason = self._reason or "the measured current does not fall"
+        reason = self._reason or f"it does not fall to within {self._tolerance:g} A"
         return f"switching off is not confirmed: {carries} ({reason})"
 
     def next(self, now: float) -> Attempt:
@@ -150,7 +156,7 @@ class OffSequence:
             zero=self._step is not _Step.SILENCE and not self._zeros,
             output_off=self._step in (_Step.OUTPUT_OFF, _Step.REPEAT),
             pause=_INTERVAL if self._attempts else 0.0,
-            timeout=min(_FIRST_TIMEOUT * 2.0**self._misses, _LONGEST_TIMEOUT),
+            timeout=min(self._timeout * 2.0**self._misses, _TIMEOUTS[1]),
         )
 
     def measured(self, now: float, current: float) -> None:
@@ -185,7 +191,7 @@ class OffSequence:
             self._enter(_Step.OUTPUT_OFF, now)
         elif self._step is _Step.OUTPUT_OFF and sent and self._has_watchdog:
             self._enter(_Step.SILENCE, now)
-        elif self._step is not _Step.OUTPUT_OFF or now - self._began > _LONGEST_BLIND:
+        elif self._step is not _Step.OUTPUT_OFF or now > self._blind_until:
             reached = math.isfinite(self._last_sent)
             self._give_up(Verdict.NOT_MEASURED if reached else Verdict.NOT_CONFIRMED, now)
 

@@ -54,6 +54,8 @@ class Transport(Protocol):
     """Sends and receives lines; each method raises LinkLostError."""
 
     name: str
+    longest_wait: float
+    """Longest time [s] to wait at a time, so that a reduced time limit takes effect."""
 
     def send(self, line: str, timeout: float) -> None:
         """Send a line within ``timeout`` [s]."""
@@ -73,6 +75,8 @@ class SocketTransport:
 
     CR, LF or both end an answer.
     """
+
+    longest_wait = 0.05
 
     def __init__(self, host: str, port: int, timeout: float) -> None:
         self.name = f"{host}:{port}"
@@ -128,8 +132,10 @@ class SocketTransport:
 class VisaTransport:
     """An instrument by its VISA resource name, through PyVISA with PyVISA-py or a vendor's VISA.
 
-    A read that waits cannot be interrupted.
+    On some interfaces, a read that is abandoned loses the answer, so that it is never cut short.
     """
+
+    longest_wait = math.inf
 
     def __init__(self, resource: str, timeout: float) -> None:
         try:
@@ -184,6 +190,7 @@ class DirectTransport:
     """An instrument in this process: ``process`` takes a line and returns its answer or None."""
 
     name = "the instrument"
+    longest_wait = math.inf
 
     def __init__(self, process: Callable[[str], str | None]) -> None:
         self._process = process
@@ -282,8 +289,7 @@ class ScpiLink:
         self._in_step = False
         while True:
             left = self._left(asked)
-            # In short parts, because the time limit may be reduced during the wait.
-            line = self._transport.receive(min(left, 0.05))
+            line = self._transport.receive(min(left, self._transport.longest_wait))
             if line and line not in self._recent:
                 self._in_step = True
                 return line

@@ -229,6 +229,7 @@ class ScpiSupply:
             time.monotonic(),
             tolerance=self.tolerance,
             halving=self.zero_timeout,
+            timeout=self._timeout,
             watchdog=self.watchdog,
             current=float(np.fmax(abs(self._measured), abs(self._setpoint))),
             at_once=at_once,
