@@ -102,13 +102,13 @@ class Commander(ABC, Generic[T]):
     def _time_objection(self, stamp_ns: int, age: float, now: float) -> str:
         if age < -self.tolerance:
             return (
-                f"the command is stamped {-age:.3g} s ahead of this node's clock, more than the "
-                f"tolerance of {self.tolerance:g} s: {_CLOCKS}"
+                f"the command is stamped {-age:.3g} s ahead, more than the tolerance of "
+                f"{self.tolerance:g} s: {_CLOCKS}"
             )
         if not age <= self._timeout:
             return (
-                f"the command is stamped {age:.3g} s behind this node's clock, more than "
-                f"command_timeout, {self._timeout:g} s: {_CLOCKS}, unless the command was delayed"
+                f"the command is stamped {age:.3g} s behind, more than command_timeout, "
+                f"{self._timeout:g} s: {_CLOCKS}, unless the command was delayed"
             )
         if self._stamp_ns is not None and stamp_ns < self._stamp_ns and self.is_held(now):
             return "the command is older than the last one"
