@@ -81,13 +81,6 @@ class SupplyParameters(ManagedOptions):
         "for a second is an error. A measured current of at most this size counts as zero.",
         within=(1e-6, 1000.0),
     )
-    zero_timeout: float = option(
-        0.3,
-        "Time [s] within which the measured current must fall by half after it is set to zero, and "
-        "again within each such time until it is zero. If it does not, the output is switched off "
-        "and the node becomes inactive. Increase it for a slow supply or coil.",
-        within=(0.05, 10.0),
-    )
     link_timeout: float = option(
         0.5,
         "Time [s] within which a complete answer must arrive. If it does not, the link counts as "
@@ -316,7 +309,6 @@ def _supply(values: SupplyParameters) -> ScpiSupply:
         watchdog=values.watchdog,
         timeout=values.link_timeout,
         tolerance=values.tolerance,
-        zero_timeout=values.zero_timeout,
     )
 
 

@@ -39,7 +39,7 @@ SECOND = 10**9
 NEARLY = 0.02
 """[A]: a coil after four time constants."""
 
-TIMEOUT = 0.2
+TIMEOUT = 0.5
 """Timeout [s] of the links in these tests; each missing answer costs one."""
 
 with_visa = pytest.mark.skipif(find_spec("pyvisa_py") is None, reason="PyVISA-py is missing")
@@ -241,7 +241,6 @@ def made_supply(connect: Callable[[Patience, str], ScpiLink], profile: str) -> S
         watchdog=0.5,
         timeout=TIMEOUT,
         tolerance=0.05,
-        zero_timeout=0.3,
     )
 
 

@@ -111,7 +111,9 @@ class OffSequence:
         self._tolerance, self._halving, self._watchdog = tolerance, halving, watchdog
         low, high = _TIMEOUTS
         self._timeout = min(max(timeout, low), high)
-        self._blind_until = now + max(_LONGEST_BLIND, 3.0 * self._timeout)
+        silence = 0.0 if math.isnan(watchdog) else watchdog
+        self._blind_until = now + max(_LONGEST_BLIND, 3.0 * self._timeout) + silence
+        self._was_silent = False
         self._last = now
         self._last_sent = -math.inf
         self._current = abs(current)
@@ -185,13 +187,12 @@ class OffSequence:
         """Take an attempt without a measured current; ``sent``: its lines have been sent."""
         self._count(now, sent)
         self._reason = reason
-        self._zeros = 0
         self._misses += 1
-        if self._step is _Step.ZERO:
-            self._enter(_Step.OUTPUT_OFF, now)
-        elif self._step is _Step.OUTPUT_OFF and sent and self._has_watchdog:
+        if self._step is _Step.OUTPUT_OFF and sent and self._has_watchdog and not self._was_silent:
             self._enter(_Step.SILENCE, now)
-        elif self._step is not _Step.OUTPUT_OFF or now > self._blind_until:
+        elif self._step is not _Step.REPEAT and now < self._blind_until:
+            self._enter(_Step.OUTPUT_OFF, now)
+        else:
             reached = math.isfinite(self._last_sent)
             self._give_up(Verdict.NOT_MEASURED if reached else Verdict.NOT_CONFIRMED, now)
 
@@ -211,5 +212,6 @@ class OffSequence:
 
     def _enter(self, step: _Step, now: float) -> None:
         self._step = step
+        self._was_silent |= step is _Step.SILENCE
         time = self._halving if step is _Step.ZERO else _OUTPUT_OFF_TIME
         self._falling = FallingCurrent(now, self._tolerance, time)

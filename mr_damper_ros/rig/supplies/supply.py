@@ -18,7 +18,7 @@ from mr_damper_ros.rig.commander import CurrentCommander
 from mr_damper_ros.rig.supplies.off_sequence import FallingCurrent, OffSequence
 from mr_damper_ros.rig.supplies.scpi_link import LinkLostError, Patience, ScpiLink
 
-_NUMBERS = {"watchdog_step": (1e-3, 3600.0), "pause": (0.0, 1.0)}
+_NUMBERS = {"watchdog_step": (1e-3, 3600.0), "pause": (0.0, 1.0), "zero_timeout": (0.05, 10.0)}
 """Ranges of the numbers in a profile."""
 
 _FILLED_IN = {"current": 1.0, "voltage": 1.0, "seconds": 1.0}
@@ -33,8 +33,9 @@ class SupplyProfile:
     the instrument switches its output off if it receives no line for ``{seconds}``, the requested
     time rounded up to a multiple of ``watchdog_step`` [s]. Without these lines there is no
     watchdog. After the watchdog has tripped, ``rearm`` makes the instrument accept ``output_on``
-    again. Lines are sent at least ``pause`` [s] apart. ``tested`` says in a sentence with which
-    instruments the profile was tested.
+    again. Lines are sent at least ``pause`` [s] apart. After the current is set to zero, its
+    measured value falls by half within each ``zero_timeout`` [s]. ``tested`` says in a sentence
+    with which instruments the profile was tested.
     """
 
     tested: str
@@ -48,6 +49,7 @@ class SupplyProfile:
     watchdog_step: float = 1.0
     rearm: tuple[str, ...] = ()
     pause: float = 0.0
+    zero_timeout: float = 0.5
 
     def watchdog_delay(self, wanted: float) -> float:
         """The shortest delay [s] of the instrument's watchdog that is at least ``wanted``."""
@@ -147,8 +149,7 @@ class ScpiSupply:
     ``connect`` opens a link, on which each answer must arrive within ``timeout`` [s]. ``voltage``
     [V] is the largest coil voltage. ``watchdog`` [s] is the time without a line after which the
     instrument switches its output off, if its profile has a watchdog. Currents of at most
-    ``tolerance`` [A] are zero. When it is switched off, the current must fall by half within each
-    ``zero_timeout`` [s].
+    ``tolerance`` [A] are zero.
     """
 
     def __init__(
@@ -160,12 +161,11 @@ class ScpiSupply:
         watchdog: float,
         timeout: float,
         tolerance: float,
-        zero_timeout: float,
     ) -> None:
         self._connect = connect
         self._timeout = timeout
         self.patience = Patience(timeout)
-        self.tolerance, self.zero_timeout = tolerance, zero_timeout
+        self.tolerance, self.zero_timeout = tolerance, profile.zero_timeout
         self._profile = profile
         self._voltage = voltage
         self._delay = profile.watchdog_delay(watchdog)
@@ -374,6 +374,9 @@ _FAST_PERIOD = 0.02
 _GRACE = 0.1
 """Time [s] that an awaited answer has when the supply must be switched off."""
 
+_LAST_TRY = 1.0
+"""Time [s] for another attempt on a supply that was not measured to be off before."""
+
 _LONGEST_STOP = 6.0
 """Longest wait [s] for a verdict; the process has ten seconds to end."""
 
@@ -415,7 +418,7 @@ class SupplyDrive:
         self._off_target = False
         self._checked = -math.inf
         self._stopping = False
-        self._deadline = math.inf
+        self._stopped_at = math.inf
         self._woken = threading.Event()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="supply", daemon=True)
@@ -463,12 +466,14 @@ class SupplyDrive:
         """
         now = time.monotonic()
         if not self._stopping:
-            self._deadline = now + _LONGEST_STOP
-            self._supply.patience.end = now + _GRACE
+            self._stopped_at = now
+            if self.off is None:
+                self._supply.patience.end = now + _GRACE
             self._stopping = True
             self._woken.set()
-        while not self.finished and time.monotonic() < self._deadline:
-            if self.off is not None and self.off.decided:
+        while not self.finished:
+            decided = self.off is not None and self.off.decided
+            if time.monotonic() - self._stopped_at > (_LAST_TRY if decided else _LONGEST_STOP):
                 break
             self._thread.join(0.01)
         if self.off is not None and self.off.is_off:
