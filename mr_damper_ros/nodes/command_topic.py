@@ -60,6 +60,9 @@ def motion_of(message: ExcitationCommand) -> PeriodicMotion | None:
 _MOST_NAMES = 8
 """Names of commanders that are kept between two reports."""
 
+_REPORT_PERIOD = 0.5
+"""Shortest time [s] for which refusals and stamps are reported together."""
+
 _FEWEST_AGES, _MOST_AGES = 5, 1000
 """Number of commands between two reports whose stamps are compared with the clock."""
 
@@ -92,6 +95,7 @@ class CommandTopic:
         self._commander, self._accepted, self._refused = commander, accepted, refused
         self._refusal = ""
         self._reported = 0
+        self._reported_at = -math.inf
         self._logged: dict[str, float] = {}
         self._heard: set[str] = set()
         self._ages: list[float] = []
@@ -124,24 +128,26 @@ class CommandTopic:
             return
         self._refusal = refusal
         now = time.monotonic()
-        if now - self._logged.get(message.commander, -math.inf) < _REFUSAL_PERIOD:
+        recent = {name: at for name, at in self._logged.items() if now - at < _REFUSAL_PERIOD}
+        self._logged = recent
+        if message.commander in recent or len(recent) >= _MOST_NAMES:
             return
-        if len(self._logged) >= _MOST_NAMES:
-            self._logged.clear()
-        self._logged[message.commander] = now
+        recent[message.commander] = now
         self._node.get_logger().warning(f"a command on {self._topic} is rejected: {refusal}")
         self._refused()
 
     def finding(self) -> Finding:
         """The present command, and all faults of the commands."""
-        sentence, commanded, timed_out = self._commander.state(time.monotonic())
+        now = time.monotonic()
+        sentence, commanded, timed_out = self._commander.state(now)
         refused = self._commander.refused
-        new, self._reported = refused - self._reported, refused
+        new, heard, ages = refused - self._reported, self._heard, self._ages
+        if now - self._reported_at > _REPORT_PERIOD:  # a report between two others ends no period
+            self._reported, self._reported_at = refused, now
+            self._heard, self._ages = set(), []
         values = {"refused": refused, **commanded}
-        if self._commander.is_held(time.monotonic()):
+        if self._commander.is_held(now):
             values["commander"] = named(self._commander.holder)
-        heard, self._heard = self._heard, set()
-        ages, self._ages = self._ages, []
         publishers = quality.publishing_nodes(self._node, self._topic)
         wrong = []
         # Commanders can be told apart by their names only.

@@ -8,6 +8,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import State, Transition
 from mr_damper_msgs.msg import CurrentCommand, SupplyCurrent
+from rosgraph_msgs.msg import Clock
 from support import Listener, assert_one_sentence
 
 from mr_damper_ros.emulation.instrument import EmulatedInstrument
@@ -40,6 +41,7 @@ class Commander:
             CurrentCommand, COMMAND, quality.stream(10)
         )
         listener.until(self._publisher.get_subscription_count, "the supply's subscription")
+        self.publish = self._publisher.publish
         self.current: float | None = None
         self.age = 0.0
         self._timer = listener.node.create_timer(0.03, self._send)
@@ -134,6 +136,31 @@ def test_stamps_of_another_clock_are_named(supply: Any, listener: Listener) -> N
         listener.wait_for_finding("supply: current", part)
     commander.age, commander.current = 0.15, 0.2
     listener.wait_for_finding("supply: current", "so they end early: the clocks differ")
+
+
+def test_the_age_of_a_command_is_by_simulated_time(
+    server: InstrumentServer, start: Any, listener: Listener
+) -> None:
+    start_supply(server, start, use_sim_time=True)
+    commander = Commander(listener)
+    clock = listener.node.create_publisher(Clock, "/clock", 10)
+    simulated = Clock()
+    simulated.clock.sec = 100
+
+    def stamped(offset: float) -> CurrentCommand:
+        stamp = header(round(1e9 * (simulated.clock.sec + offset)), "damper")
+        return CurrentCommand(header=stamp, current=0.5)
+
+    def send() -> None:
+        clock.publish(simulated)
+        commander.publish(stamped(0.0))
+
+    timer = listener.node.create_timer(0.03, send)
+    listener.until(gives(server, 0.5), "the current")
+    listener.node.destroy_timer(timer)
+    for offset, part in ((-0.4, "s behind, more than"), (1.7e9, "set use_sim_time in both nodes")):
+        commander.publish(stamped(offset))
+        listener.wait_for_finding("supply: current", part)
 
 
 def test_a_current_set_by_hand_is_limited_and_counts_after_a_time_out(
