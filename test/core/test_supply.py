@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -514,6 +515,21 @@ def test_a_lost_setpoint_is_sent_again(live: InstrumentServer) -> None:
     assert thread.stop()
 
 
+def test_a_setpoint_that_changes_is_sent_once(live: InstrumentServer) -> None:
+    hand = CurrentCommander(CommandSettings(), 0.5)
+    thread = in_thread(live, [], hand)
+    until(lambda: live.instrument.current() > 0.4, "the current")
+    first = len(live.lines)
+    for step in range(20):
+        hand.set_by_hand(1.5 if step % 2 else 0.5 + 0.01 * step)
+        thread.wake()
+        time.sleep(0.03)
+    sent = [line for line in live.lines[first:] if line.startswith("CURR")]
+    assert len(sent) > 10
+    assert all(a != b for a, b in pairwise(sent))
+    assert thread.stop()
+
+
 FAULTS = {name: fault for name, fault in INSTRUMENT_FAULTS.items() if name != "none"}
 
 
@@ -537,6 +553,26 @@ def test_off_is_reported_if_and_only_if_no_current_is_measured(
         assert "not confirmed: the coil may still carry 1.0 A" in thread.problem
     thread.end()
     assert thread.finished
+
+
+@pytest.mark.parametrize(
+    "name",
+    [name for name, fault in INSTRUMENT_FAULTS.items() if fault.usable and not fault.refused],
+)
+def test_a_setpoint_of_zero_that_is_followed_slowly_switches_nothing_off(
+    live: InstrumentServer, name: str
+) -> None:
+    live.instrument = EmulatedInstrument(time_constant=0.2)
+    live.fault = INSTRUMENT_FAULTS[name]
+    hand = CurrentCommander(CommandSettings(), 1.0)
+    thread = in_thread(live, [], hand)
+    gives_current(live)
+    hand.set_by_hand(0.0)
+    thread.wake()
+    until(lambda: live.instrument.current() < 0.1 * NEARLY, "no current")
+    assert thread.failure == ""
+    assert not live.instrument.is_off
+    assert thread.stop()
 
 
 def test_a_second_stop_does_not_wait_again(live: InstrumentServer) -> None:

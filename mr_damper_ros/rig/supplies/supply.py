@@ -368,6 +368,9 @@ _SETUP_PAUSE = 0.06
 _RISE = 0.1
 """Time [s] in which the current of an output that is not at zero becomes measurable."""
 
+_LOST = 0.1
+"""Time [s] after which a setpoint that is not reached is sent again: the line may be lost."""
+
 _FAST_PERIOD = 0.02
 """Longest time [s] between two readings until the current has fallen to zero."""
 
@@ -416,6 +419,7 @@ class SupplyDrive:
         self.last_complaint = self.failure = ""
         self.off: OffSequence | None = None
         self._off_target = False
+        self._changed = -math.inf
         self._checked = -math.inf
         self._stopping = False
         self._stopped_at = math.inf
@@ -523,15 +527,13 @@ class SupplyDrive:
         while not self._stopping:
             self._woken.clear()
             now = time.monotonic()
-            self.given = self._commander.step(now)
-            if self._off_target and now >= due:
-                self._supply.repeat(self.given)  # the instrument may have lost the line
-            else:
-                self._supply.give(self.given)
+            self._obey(now)
+            if self._off_target and now >= max(due, self._changed + _LOST):
+                self._supply.repeat(self.given)
             if self.given != 0.0:
                 falling = None
             elif falling is None:
-                falling, due = FallingCurrent(now, *self._zero), now
+                falling, due = FallingCurrent(now, *self._zero), min(due, now + _FAST_PERIOD)
             if now >= due:
                 asked_ns = self._clock_ns()
                 self.measured = self._supply.measured()
@@ -543,8 +545,7 @@ class SupplyDrive:
                 if falling is not None and not falling.falls(time.monotonic(), self.measured):
                     raise SupplyError(_not_zero(self.measured))
                 # The answer may have taken long.
-                self.given = self._commander.step(time.monotonic())
-                self._supply.give(self.given)
+                self._obey(time.monotonic())
                 self._check(now)
                 period = self._period
                 if falling is not None and self._off_target:
@@ -552,6 +553,12 @@ class SupplyDrive:
                 due = max(due + period, time.monotonic())
             now = time.monotonic()
             self._woken.wait(max(min(due - now, self._commander.wait(now)), 0.0))
+
+    def _obey(self, now: float) -> None:
+        before, self.given = self.given, self._commander.step(now)
+        if self.given != before:
+            self._changed = now
+        self._supply.give(self.given)
 
     @property
     def _zero(self) -> tuple[float, float]:
