@@ -210,11 +210,13 @@ class SupplyNode(ManagedNode):
 
     def _close(self) -> None:
         drive, self._drive = self._drive, None
-        if drive is not None and not drive.stop():
+        supply, self._supply = self._supply, None
+        if drive is not None and supply is not None and not drive.stop():
             drive.end()
             self._left_on = True
             self._problem = f"{drive.problem}; the node has stopped trying"
-        supply, self._supply = self._supply, None
+            if not math.isnan(supply.watchdog):
+                self._problem += f", the watchdog acts after {supply.watchdog:g} s of silence"
         if supply is not None:
             try:
                 supply.close()
@@ -249,7 +251,9 @@ class SupplyNode(ManagedNode):
     def _find_supply(self) -> Finding:
         supply, drive = self._supply, self._drive
         if supply is None:
-            return Finding(ERROR if self._problem else WARN, self._problem or "not configured")
+            level = ERROR if self._problem else WARN
+            output = "may be on" if self._left_on else "unknown"
+            return Finding(level, self._problem or "not configured", {"output": output})
         values: dict[str, object] = {
             "instrument": self._identity,
             "watchdog [s]": "none" if math.isnan(supply.watchdog) else f"{supply.watchdog:g}",
@@ -274,9 +278,10 @@ class SupplyNode(ManagedNode):
 
     def _find_current(self) -> Finding:
         if self._drive is None or self._commands is None:
-            known = self._drive is None and not self._left_on
-            sentence = "no current: the output is off" if known else "the coil may carry a current"
-            return Finding(WARN if known else ERROR, sentence)
+            if self._drive is not None or self._left_on:
+                return Finding(ERROR, "the coil may carry a current")
+            is_known = self._supply is not None
+            return Finding(WARN, "no current: the output is off" if is_known else "not configured")
         state = self._drive
         found = self._commands.finding()
         values = {**found.values, "set [A]": state.given, "measured [A]": state.measured}
