@@ -64,16 +64,16 @@ class _Step(Enum):
     REPEAT = auto()
 
 
-_OUTPUT_OFF_TIME = 0.3
+_OUTPUT_OFF_TIME = 0.2
 """Time [s] within which the current must fall after the command to switch the output off."""
 
-_INTERVAL = 0.06
+_INTERVAL = 0.12
 """Time [s] between two attempts, longer than most instruments need to accept another line."""
 
 _REPEAT_PERIOD = 0.5
 """Time [s] between attempts that go on after all means have failed."""
 
-_MARGIN = 0.15
+_MARGIN = 0.1
 """Time [s] for which a watchdog may be late, and for the current of the coil to fall."""
 
 _LONGEST_BLIND = 2.0
