@@ -4,22 +4,32 @@ An emulated instrument with a coil of 20 ms runs behind a real TCP socket. The n
 commander that commands 1 A are separate processes. An instrument that never completes its answers
 is used without a watchdog and with the default settings of the node; its slow answers begin at any
 time from half a second before to half a second after the death of the commander.
+
+Each instrument with a fault is switched off in three ways, with the default settings of the node.
 """
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
 import time
 from collections.abc import Callable
-from functools import partial
+from contextlib import closing
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from mr_damper_msgs.msg import CurrentCommand
 
 from benchmarks.figure import Measured
-from benchmarks.instrument_server import InstrumentServer
 from benchmarks.nodes import Nodes
 from mr_damper_ros.emulation.instrument import EmulatedInstrument
+from mr_damper_ros.emulation.instrument_faults import INSTRUMENT_FAULTS, InstrumentFault
+from mr_damper_ros.emulation.instrument_server import InstrumentServer
+from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC
+from mr_damper_ros.nodes.messages import header
 from mr_damper_ros.processes.programs import PATIENCE, Program
 
 _CURRENT, _NONE = 1.0, 0.02
@@ -30,8 +40,16 @@ EVENTS = (
     *("commander_killed", "commander_frozen"),
 )
 
-_DRIBBLE = 0.2
-"""Time [s] between two bytes of an answer that never ends."""
+_SOUND, _DRIBBLE = INSTRUMENT_FAULTS["none"], INSTRUMENT_FAULTS["dribble"]
+
+MISBEHAVING = tuple(name for name in INSTRUMENT_FAULTS if name not in ("none", "deaf"))
+
+ENDS = ("deactivated", "commander_killed", "node_terminated")
+"""Ways in which an instrument with a fault must be switched off."""
+
+
+def _server(fault: InstrumentFault = _SOUND) -> InstrumentServer:
+    return InstrumentServer(EmulatedInstrument(time_constant=0.02), fault)
 
 
 class _Rig(Nodes):
@@ -39,7 +57,7 @@ class _Rig(Nodes):
 
     def __init__(self, **parameters: object) -> None:
         super().__init__()
-        self.server = InstrumentServer(EmulatedInstrument(time_constant=0.02))
+        self.server = _server()
         self._parameters = {"address": self.server.address, **parameters}
         self.start("supply", **self._parameters)
         self._command()
@@ -63,7 +81,7 @@ class _Rig(Nodes):
         number = signal.SIGKILL if kind == "killed" else signal.SIGSTOP
         fails: dict[str, Callable[[], object]] = {
             "link_cut": self.server.cut,
-            "link_dead": lambda: setattr(self.server, "deaf", True),
+            "link_dead": lambda: self._break(INSTRUMENT_FAULTS["deaf"]),
         }
         self.until(lambda current: current > 0.95 * _CURRENT, "the current")
         time.sleep(0.2)
@@ -77,8 +95,7 @@ class _Rig(Nodes):
 
         The slow answers begin ``lead`` [s] before the death.
         """
-        begin = partial(setattr, self.server, "dribble", _DRIBBLE)
-        begins = threading.Timer(max(-lead, 0.0), begin)
+        begins = threading.Timer(max(-lead, 0.0), self._break, [_DRIBBLE])
         self.until(lambda current: current > 0.95 * _CURRENT, "the current")
         begins.start()
         time.sleep(max(lead, 0.0))
@@ -88,8 +105,68 @@ class _Rig(Nodes):
         self._mend("commander and node")
         return passed
 
+    def off(self, fault: InstrumentFault, end: str) -> tuple[float, float, str]:
+        """Time [s] to zero current or to the report that it is not, and what was wrong.
+
+        The first time is NaN for an instrument that obeys nothing, the second one for an
+        instrument whose zero is measured.
+        """
+        self.end("supply")
+        self.server.close()
+        self.server = _server(fault if fault.usable else _SOUND)
+        profile = "emulated" if fault.watchdog else "scpi"
+        node = self.start("supply", address=self.server.address, profile=profile)
+        if "send-current" not in self.programs or not self.programs["send-current"].running:
+            self._command()
+        client = self.observer.node.create_client(ChangeState, "supply/change_state")
+        self.observer.until(client.service_is_ready, "the node")
+        self.until(lambda current: current > 0.95 * _CURRENT, "the current")
+        time.sleep(0.2)
+        said = len(node.errors)
+        began = time.monotonic()
+        self._break(fault)
+        if end == "deactivated":
+            transition = Transition(id=Transition.TRANSITION_DEACTIVATE)
+            asked = client.call_async(ChangeState.Request(transition=transition))
+            self.observer.spin_once(0.01)
+        elif end == "commander_killed":
+            self.programs["send-current"].kill()
+        else:
+            node.send_signal(signal.SIGTERM)
+        gone = told = math.nan
+        if fault.obeys:
+            gone = self.until(lambda current: current < _NONE, "no current")
+        word = "" if fault.obeys and fault.measures else "not "
+        word += "measured: the coil may" if not fault.measures else "confirmed: the coil may"
+        if word.startswith("not "):
+            while word not in node.errors[said:]:
+                self.observer.spin_once(0.01)
+                if time.monotonic() - began > PATIENCE:
+                    return gone, math.inf, f"not said: {node.last_words}"
+            told = time.monotonic() - began
+        if end == "deactivated":
+            self.observer.until(asked.done, "an answer")
+        if node.running:
+            node.send_signal(signal.SIGTERM)
+        code = node.wait()
+        self.observer.node.destroy_client(client)
+        lines = node.errors[said:].splitlines() or [""]
+        wrong = ""
+        if code != int(word.startswith("not ")):
+            wrong = f"exit code {code}: {lines[-1]}"
+        elif code and word not in lines[-1]:
+            wrong = f"last line: {lines[-1]}"
+        elif not code and any(each in node.errors for each in ("not confirmed", "not measured")):
+            wrong = f"warned: {lines[-1]}"
+        return gone, told, wrong
+
+    def _break(self, fault: InstrumentFault) -> None:
+        self.server.fault = fault
+        if fault.cut_after:
+            self.server.cut()
+
     def _mend(self, event: str) -> None:
-        self.server.deaf, self.server.dribble = False, 0.0
+        self.server.fault = _SOUND
         if event == "commander_frozen":
             self.programs["send-current"].send_signal(signal.SIGCONT)
         elif event.startswith("commander"):
@@ -106,8 +183,8 @@ class _Rig(Nodes):
         self.server.close()
 
 
-def figures(trials: int = 200) -> Measured:
-    """Run a total of ``trials`` of all events in turn, and a tenth as many with slow answers."""
+def figures(trials: int = 200, names: tuple[str, ...] = MISBEHAVING) -> Measured:
+    """Run ``trials`` of all events in turn, a tenth as many with slow answers, and all faults."""
     times: dict[str, list[float]] = {f"supply_{event}_s": [] for event in EVENTS}
     given = {"rate": 20.0, "watchdog": _WATCHDOG, "command_timeout": _TIMEOUT}
     with _Rig(profile="emulated", link_timeout=_LINK, **given) as rig:
@@ -117,4 +194,86 @@ def figures(trials: int = 200) -> Measured:
     with _Rig() as rig:
         leads = np.linspace(-0.5, 0.5, max(trials // 10, 3)).tolist()
         times["dribble_off_s"] = [rig.dribble(lead) for lead in leads]
-    return {key: (max(found), f"Of {len(found)}.") for key, found in times.items()}
+    found: Measured = {key: (max(each), f"Of {len(each)}.") for key, each in times.items()}
+    return {**found, **off_figures(names), **commander_figures()}
+
+
+def off_figures(names: tuple[str, ...] = MISBEHAVING) -> Measured:
+    """Switch each instrument with a fault off in each way, with the default settings."""
+    gone: dict[bool, list[float]] = {False: [], True: []}
+    told, wrong = [], {}
+    with _Rig() as rig:
+        for name in names:
+            fault = INSTRUMENT_FAULTS[name]
+            for end in ENDS:
+                passed, said, fails = rig.off(fault, end)
+                gone[fault.watchdog].append(passed)
+                told.append(said)
+                if fails:
+                    wrong[name] = f"{name}, {end}: {fails}"
+    return {
+        "off_measured_s": float(np.nanmax(gone[False])),
+        "off_watchdog_s": float(np.nanmax(gone[True])),
+        "off_told_s": float(np.nanmax(told)),
+        "off_told_right": (len(names) - len(wrong), "; ".join(wrong.values())),
+    }
+
+
+def commander_figures(trials: int = 5) -> Measured:
+    """Let a second commander command, then the first one fall silent; default settings."""
+    told, followed, handed_over = zip(*(_two_commanders() for _ in range(trials)), strict=True)
+    return {
+        "second_commander_told_s": (max(told), f"Of {trials}."),
+        "second_commander_followed": sum(followed),
+        "hand_over_s": (max(handed_over), f"Of {trials}."),
+    }
+
+
+def _two_commanders() -> tuple[float, bool, float]:
+    """Times [s] to the refusal and to the hand-over, and whether the second one was obeyed."""
+    with Nodes() as nodes, closing(_server()) as server:
+        nodes.start("supply", address=server.address, profile="scpi")
+        pair = _Commanders(nodes)
+
+        def gives(current: float) -> Callable[[], bool]:
+            return lambda: abs(server.instrument.current() - current) < _NONE
+
+        pair.command({"/first": 0.5}, gives(0.5))
+        both = {"/first": 0.5, "/second": 1.5}
+        told = pair.command(both, lambda: "/second is refused" in pair.message)
+        followed = "CURR 1.5000" in server.lines
+        return told, followed, pair.command({"/second": 1.5}, gives(1.5))
+
+
+class _Commanders:
+    """Commanders that publish in turn, and the last message of the node about its commands."""
+
+    def __init__(self, nodes: Nodes) -> None:
+        self.message = ""
+        self._nodes = nodes
+        node = nodes.observer.node
+        self._publisher = node.create_publisher(CurrentCommand, COMMAND_TOPIC, 10)
+        nodes.observer.listen(DiagnosticArray, "/diagnostics", take=self._take)
+        nodes.observer.until(self._publisher.get_subscription_count, "the node")
+
+    def _take(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            if status.name == "supply: current":
+                self.message = status.message
+
+    def command(self, currents: dict[str, float], condition: Callable[[], bool]) -> float:
+        """Command these currents [A] by name, 20 times a second; returns the time [s] passed."""
+        observer = self._nodes.observer
+        began = due = time.monotonic()
+        while not condition():
+            now = time.monotonic()
+            if now - began > PATIENCE:
+                raise TimeoutError(f"the commands {currents} had no effect: {self.message}")
+            if now >= due:
+                due += 0.05
+                stamp = header(observer.node.get_clock().now().nanoseconds, "damper")
+                for name, current in currents.items():
+                    message = CurrentCommand(header=stamp, current=current, commander=name)
+                    self._publisher.publish(message)
+            observer.spin_once(0.002)
+        return time.monotonic() - began

@@ -69,7 +69,7 @@ class EmulatedInstrument:
                 self._errors.clear()
             elif command in self._values:
                 self._set(command, _SWITCH.get(argument, argument))
-            elif (command, argument) != ("FUNC", "CURR"):
+            elif command and (command, argument) != ("FUNC", "CURR"):
                 self._complain('-113,"Undefined header"')
             return None
 

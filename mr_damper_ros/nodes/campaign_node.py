@@ -27,7 +27,12 @@ from mr_damper_ros.estimation.experiment_design import first_run
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, EXCITATION_TOPIC, command_message
+from mr_damper_ros.nodes.command_topic import (
+    COMMAND_DEPTH,
+    COMMAND_TOPIC,
+    EXCITATION_TOPIC,
+    command_message,
+)
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding, steady_timer
 from mr_damper_ros.nodes.goal_server import GoalServer
 from mr_damper_ros.nodes.inputs import Inputs
@@ -105,8 +110,12 @@ class CampaignNode(Node):
         self._moving: MachineCommand | None = None
         self._last = ""
         self._failed = False
-        self._motion_publisher = quality.publisher(self, ExcitationCommand, EXCITATION_TOPIC)
-        self._current_publisher = quality.publisher(self, CurrentCommand, COMMAND_TOPIC)
+        self._motion_publisher = quality.publisher(
+            self, ExcitationCommand, EXCITATION_TOPIC, quality.stream(COMMAND_DEPTH)
+        )
+        self._current_publisher = quality.publisher(
+            self, CurrentCommand, COMMAND_TOPIC, quality.stream(COMMAND_DEPTH)
+        )
         quality.subscription(
             self,
             Temperature,
@@ -225,8 +234,11 @@ class CampaignNode(Node):
 
     def _publish(self, command: MachineCommand) -> None:
         stamp = header(self.get_clock().now().nanoseconds, self._options.frame_id)
-        self._motion_publisher.publish(command_message(stamp, command.motion))
-        self._current_publisher.publish(CurrentCommand(header=stamp, current=command.current))
+        name = self.get_fully_qualified_name()
+        self._motion_publisher.publish(command_message(stamp, command.motion, name))
+        self._current_publisher.publish(
+            CurrentCommand(header=stamp, current=command.current, commander=name)
+        )
 
     def _poll(self) -> None:
         if time.monotonic() - self._last_block > self._options.samples_timeout:

@@ -21,7 +21,7 @@ from mr_damper_ros.control.force_controller import (
 )
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.block_node import BlockNode, SetOptions
-from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, DEMAND_TOPIC
+from mr_damper_ros.nodes.command_topic import COMMAND_DEPTH, COMMAND_TOPIC, DEMAND_TOPIC
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Finding, steady_timer
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC
 from mr_damper_ros.nodes.messages import set_stamp, to_nanoseconds
@@ -88,9 +88,13 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         self._counts: Counter[str] = Counter()
         self._last_block = -math.inf
         # One message for all commands: publishing copies it.
-        self._message = CurrentCommand(header=Header(frame_id=options.frame_id))
+        self._message = CurrentCommand(
+            header=Header(frame_id=options.frame_id), commander=self.get_fully_qualified_name()
+        )
         self._refused_force = ""
-        self._command = quality.publisher(self, CurrentCommand, COMMAND_TOPIC)
+        self._command = quality.publisher(
+            self, CurrentCommand, COMMAND_TOPIC, quality.stream(COMMAND_DEPTH)
+        )
         quality.subscription(
             self, DesiredForce, DEMAND_TOPIC, self._take_desired_force, quality.newest()
         )

@@ -55,12 +55,14 @@ def run(
     arguments: Sequence[str] | None = None,
     ended: Callable[[N], int | None] = lambda _: None,
     between: Callable[[N], float] = lambda _: _WAKE_UP,
+    left: Callable[[N], int] = lambda _: SUCCESS,
 ) -> int:
     """Run a node until SIGINT, SIGTERM or the end of its work; returns the exit code.
 
     ``ended`` returns the exit code once the node has finished its work, None before. ``between``
-    does work after each callback, and at the latest after the time [s] that it returned. An invalid
-    configuration gives one sentence on stderr and exit code 2.
+    does work after each callback, and at the latest after the time [s] that it returned. ``left``
+    returns the exit code of a node that a signal has ended. An invalid configuration gives one
+    sentence on stderr and exit code 2.
     """
     keep_one_thread(with_scipy=False)  # only workers use SciPy
     arguments = list(sys.argv if arguments is None else arguments)
@@ -86,7 +88,7 @@ def run(
             signal.signal(number, lambda received, _: signals.append(received))
         with _refusals("the command line cannot be used"):
             rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-        return _spin(_node(factory), ended, between, signals)
+        return _spin(_node(factory), ended, between, left, signals)
     except _CONFIGURATION_ERRORS as error:
         print(error, file=sys.stderr)
         return BAD_CONFIGURATION
@@ -129,6 +131,7 @@ def _spin(
     node: N,
     ended: Callable[[N], int | None],
     between: Callable[[N], float],
+    left: Callable[[N], int],
     signals: Sequence[int],
 ) -> int:
     """Spin the node until it has ended or a signal has been received; returns the exit code."""
@@ -153,7 +156,7 @@ def _spin(
         nowhere = os.open(os.devnull, os.O_WRONLY)
         faulthandler.dump_traceback_later(10.0, exit=True, file=nowhere)
         node.destroy_node()
-    return SUCCESS
+    return left(node)
 
 
 _CONFIGURATION_ERRORS = (

@@ -1,7 +1,8 @@
 """Node that drives the supply of the coil: commands in, measured current out.
 
 It is a managed node: configuring connects to the instrument and sets it up, activating switches its
-output on. By default it does both at the start. The output is off whenever the node is not active.
+output on. By default it does both at the start. The output is off whenever the node is not active,
+which is measured.
 """
 
 from __future__ import annotations
@@ -21,16 +22,21 @@ from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Findin
 from mr_damper_ros.nodes.managed_node import ManagedNode, ManagedOptions
 from mr_damper_ros.nodes.messages import current_message
 from mr_damper_ros.nodes.node_parameters import NodeParameters
-from mr_damper_ros.nodes.spinning import run
+from mr_damper_ros.nodes.spinning import FAILURE, SUCCESS, run
 from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander
 from mr_damper_ros.rig.supplies import scpi_link
-from mr_damper_ros.rig.supplies.supply import ScpiSupply, SupplyDrive, read_profile
+from mr_damper_ros.rig.supplies.supply import (
+    NotOffError,
+    ScpiSupply,
+    SupplyDrive,
+    read_profile,
+)
 from mr_damper_ros.settings.option_table import group, option
 
 _EMULATED = "emulated"
 """Address and profile of the emulated instrument, which runs in this process."""
 
-_NOT_OFF = "the output may still be on: the node keeps trying to switch it off"
+_GOES_ON = "the node keeps trying"
 
 
 @dataclass(frozen=True)
@@ -39,7 +45,8 @@ class SupplyParameters(ManagedOptions):
 
     It receives stamped commands on supply/current_command, sets the instrument, and publishes the
     current that the instrument measures on supply/current. The output is off whenever the node is
-    not active, and after SIGINT and SIGTERM.
+    not active, and after SIGINT and SIGTERM. If the instrument does not measure that it is off, the
+    node reports an error and ends with exit code 1.
     """
 
     address: str = option(
@@ -71,8 +78,8 @@ class SupplyParameters(ManagedOptions):
     tolerance: float = option(
         0.05,
         "Largest difference [A] between measured current and setpoint; a larger one that lasts "
-        "for a second is an error.",
-        within=(0.0, 1000.0),
+        "for a second is an error. A measured current of at most this size counts as zero.",
+        within=(1e-6, 1000.0),
     )
     link_timeout: float = option(
         0.5,
@@ -123,6 +130,7 @@ class SupplyNode(ManagedNode):
         self._by_hand = self.parameters.values.current
         self._commands: CommandTopic | None = None
         self._identity = ""
+        self._left_on = False
         self._diagnostics = Diagnostics(
             self, {"supply": self._find_supply, "current": self._find_current}
         )
@@ -149,8 +157,9 @@ class SupplyNode(ManagedNode):
             self._publisher = quality.publisher(self, SupplyCurrent, "supply/current")
         except (ValueError, OSError) as error:
             self._supply = None
+            self._left_on = isinstance(error, NotOffError)
             return self._fail("the supply cannot be set up", error)
-        self._problem = ""
+        self._problem, self._left_on = "", False
         self.get_logger().info(f"connected to {self._identity} at {values.address}")
         if math.isnan(self._supply.watchdog):
             self.get_logger().warning(
@@ -164,13 +173,12 @@ class SupplyNode(ManagedNode):
         assert self._supply is not None
         values = self.parameters.values
         if self._drive is not None:
-            self.get_logger().error(f"not switched on: {self._drive.failure}; {_NOT_OFF}")
+            self.get_logger().error(f"not switched on: {self._drive.problem}; {_GOES_ON}")
             return TransitionCallbackReturn.FAILURE
         self._commander = CurrentCommander(values.commands, self._by_hand)
         drive = SupplyDrive(
             self._supply,
             self._commander,
-            tolerance=values.tolerance,
             period=1.0 / values.rate,
             clock_ns=lambda: int(self.get_clock().now().nanoseconds),
             publish=self._publish_current,
@@ -182,7 +190,9 @@ class SupplyNode(ManagedNode):
             self._drive = None if drive.finished else drive
             return self._fail("the supply cannot be switched on", error)
         self._drive, self._problem, self._by_hand = drive, "", 0.0
-        self._commands = CommandTopic(self, "current", self._commander, drive.wake)
+        self._commands = CommandTopic(
+            self, "current", self._commander, drive.wake, self._diagnostics.publish
+        )
         return TransitionCallbackReturn.SUCCESS
 
     def _stop(self) -> None:
@@ -195,43 +205,45 @@ class SupplyNode(ManagedNode):
         if drive.stop():
             self._drive = None
         else:
-            self._report_problem(f"{drive.failure}; {_NOT_OFF}")
+            self._problem = f"{drive.problem}; {_GOES_ON}"
+            self._diagnostics.publish()
 
     def _close(self) -> None:
         drive, self._drive = self._drive, None
-        if drive is not None and not drive.stop():
-            drive.end()
-            self._report_problem(
-                f"{drive.failure}; the output may still be on: the node has stopped trying"
-            )
         supply, self._supply = self._supply, None
-        if supply is None:
-            return
-        try:
-            supply.close()
-        except scpi_link.LinkLostError as error:
-            self.get_logger().warning(f"closing the link failed: {error}")
-        self.destroy_publisher(self._publisher)
+        if drive is not None and supply is not None and not drive.stop():
+            drive.end()
+            self._left_on = True
+            self._problem = f"{drive.problem}; the node has stopped trying"
+            if not math.isnan(supply.watchdog):
+                self._problem += f", the watchdog acts after {supply.watchdog:g} s of silence"
+        if supply is not None:
+            try:
+                supply.close()
+            except scpi_link.LinkLostError as error:
+                self.get_logger().warning(f"closing the link failed: {error}")
+            self.destroy_publisher(self._publisher)
+        if self._left_on and not self._starting:  # the last words of a node that ends
+            self.get_logger().error(self._problem)
 
-    def _report_problem(self, problem: str) -> None:
-        self._problem = problem
-        self.get_logger().error(problem)
+    @property
+    def exit_code(self) -> int:
+        """1 if the coil may still carry a current after the end of the node."""
+        return FAILURE if self._left_on else SUCCESS
 
     def _publish_current(self, stamp_ns: int, current: float) -> None:
         self._publisher.publish(current_message(stamp_ns, current, self.parameters.values.frame_id))
 
     def watch(self) -> float:
-        """Deactivate if the supply is lost, and report when its output is off; returns infinity."""
+        """Deactivate if the supply is lost, and report when it is off; returns infinity."""
         drive = self._drive
-        if drive is not None and drive.failure:
+        if drive is not None and (drive.failure or self._commands is None):
             if self._commands is not None:
                 self.trigger_deactivate()
             if drive.finished:
                 self._drive = None
-                self._report_problem(
-                    f"{drive.failure}; since then, the output has been switched off: activate the "
-                    "node again to continue"
-                )
+                self._problem = f"{drive.problem}: activate the node again to continue"
+                self.get_logger().error(self._problem)
         return math.inf
 
     # --- state ----------------------------------------------------------------------------------
@@ -239,17 +251,21 @@ class SupplyNode(ManagedNode):
     def _find_supply(self) -> Finding:
         supply, drive = self._supply, self._drive
         if supply is None:
-            return Finding(ERROR if self._problem else WARN, self._problem or "not configured")
+            level = ERROR if self._problem else WARN
+            output = "may be on" if self._left_on else "unknown"
+            return Finding(level, self._problem or "not configured", {"output": output})
         values: dict[str, object] = {
             "instrument": self._identity,
             "watchdog [s]": "none" if math.isnan(supply.watchdog) else f"{supply.watchdog:g}",
-            "output": "off" if drive is None else "may be on" if drive.failure else "on",
+            "output": "off" if drive is None else "on",
         }
-        if drive is not None and drive.failure:
-            return Finding(ERROR, f"{drive.failure}; {_NOT_OFF}", values)
+        if drive is not None and (drive.failure or self._commands is None):
+            values["output"] = "may be on"
+            return Finding(ERROR, f"{drive.problem}; {_GOES_ON}", values)
         if drive is None:
             level = ERROR if self._problem else WARN
-            return Finding(level, self._problem or "not active: the output is off", values)
+            sentence = "not active: the output is measured to be off"
+            return Finding(level, self._problem or sentence, values)
         values["complaints"] = drive.complaints
         if drive.last_complaint:
             return Finding(WARN, f"the supply reports: {drive.last_complaint}", values)
@@ -262,7 +278,10 @@ class SupplyNode(ManagedNode):
 
     def _find_current(self) -> Finding:
         if self._drive is None or self._commands is None:
-            return Finding(WARN, "no current: the output is off")
+            if self._drive is not None or self._left_on:
+                return Finding(ERROR, "the coil may carry a current")
+            is_known = self._supply is not None
+            return Finding(WARN, "no current: the output is off" if is_known else "not configured")
         state = self._drive
         found = self._commands.finding()
         values = {**found.values, "set [A]": state.given, "measured [A]": state.measured}
@@ -280,10 +299,13 @@ def _supply(values: SupplyParameters) -> ScpiSupply:
     """The supply of the parameters; raises ValueError."""
     emulated = values.address == _EMULATED
     profile = read_profile(values.profile or (_EMULATED if emulated else "scpi"))
-    instrument = scpi_link.DirectLink(EmulatedInstrument().process)
+    instrument = EmulatedInstrument()
 
-    def link(patience: scpi_link.Patience) -> scpi_link.ScpiLink:
-        return instrument if emulated else scpi_link.connect(values.address, patience)
+    def link(patience: scpi_link.Patience, identity: str) -> scpi_link.ScpiLink:
+        if not emulated:
+            return scpi_link.connect(values.address, patience, identity)
+        direct = scpi_link.DirectTransport(instrument.process)
+        return scpi_link.ScpiLink(direct, patience, identity)
 
     return ScpiSupply(
         link,
@@ -291,7 +313,14 @@ def _supply(values: SupplyParameters) -> ScpiSupply:
         voltage=values.largest_voltage,
         watchdog=values.watchdog,
         timeout=values.link_timeout,
+        tolerance=values.tolerance,
     )
 
 
-main = partial(run, SupplyNode, SupplyParameters, between=SupplyNode.watch)
+main = partial(
+    run,
+    SupplyNode,
+    SupplyParameters,
+    between=SupplyNode.watch,
+    left=lambda node: node.exit_code,
+)

@@ -15,8 +15,16 @@ from mr_damper_ros.settings.option_table import CheckedSettings, option
 STAMP_TOLERANCE = 0.05
 """Largest time [s] by which a stamp may be ahead, because two computers' clocks may differ."""
 
+_CLOCKS = (
+    "the clocks differ: synchronise both computers, or set use_sim_time in both nodes or in neither"
+)
 
 T = TypeVar("T")
+
+
+def named(commander: str) -> str:
+    """The name of a commander, for a sentence; it is foreign text."""
+    return " ".join(commander.split())[:80] or "the commander without a name"
 
 
 CommandState = tuple[str, Mapping[str, object], bool]
@@ -28,14 +36,16 @@ class Commander(ABC, Generic[T]):
     """The latest command; a command holds for a limited time from its stamp on.
 
     Times are seconds of one steady clock. A command holds for ``timeout`` [s], and may be stamped
-    ahead by ``tolerance`` [s]. ``refused`` counts the rejected commands.
+    ahead by ``tolerance`` [s]. ``refused`` counts the rejected commands. The first to command is
+    the ``holder`` until its last command has expired; meanwhile, commands of others are rejected.
     """
 
     def __init__(self, first: T, timeout: float, tolerance: float = STAMP_TOLERANCE) -> None:
         self.refused = 0
+        self.holder = ""
         self._target = first
         self._timeout = timeout
-        self._tolerance = tolerance
+        self.tolerance = tolerance
         self._until = -math.inf
         self._stamp_ns: int | None = None
 
@@ -48,14 +58,23 @@ class Commander(ABC, Generic[T]):
         self.refused += 1
         return reason
 
-    def command(self, target: T, stamp_ns: int, age: float, now: float) -> str:
+    def is_held(self, now: float) -> bool:
+        """Whether a command is in force."""
+        return self._stamp_ns is not None and now < self._until
+
+    def command(self, target: T, stamp_ns: int, age: float, now: float, commander: str = "") -> str:
         """Accept a command issued ``age`` [s] ago; returns the reason if it is rejected, or "".
 
         ``stamp_ns`` is the time of issue. A command older than the one in force is rejected.
         """
-        objection = self._limit_objection(target) or self._time_objection(stamp_ns, age, now)
+        objection = (
+            self._holder_objection(commander, now)
+            or self._limit_objection(target)
+            or self._time_objection(stamp_ns, age, now)
+        )
         if objection:
             return self.refuse(objection)
+        self.holder = commander
         # Another thread may read in between, so the value must be set before its time limit.
         self._target = self._within(target)
         self._until = now + self._timeout - max(age, 0.0)
@@ -71,18 +90,27 @@ class Commander(ABC, Generic[T]):
         """Limit a command to the allowed range."""
         return target
 
+    def _holder_objection(self, commander: str, now: float) -> str:
+        if commander == self.holder or not self.is_held(now):
+            return ""
+        holder = named(self.holder)
+        return (
+            f"{holder} commands at present, so {named(commander)} is refused until {holder} has "
+            f"been silent for {self._timeout:g} s: stop one of them"
+        )
+
     def _time_objection(self, stamp_ns: int, age: float, now: float) -> str:
-        if age < -self._tolerance:
+        if age < -self.tolerance:
             return (
                 f"the command is stamped {-age:.3g} s ahead, more than the tolerance of "
-                f"{self._tolerance:g} s: synchronise the clocks of both computers"
+                f"{self.tolerance:g} s: {_CLOCKS}"
             )
         if not age <= self._timeout:
             return (
-                f"the command is {age:.3g} s old, but command_timeout is {self._timeout:g} s: "
-                "synchronise the clocks of both computers, or command more often"
+                f"the command is stamped {age:.3g} s behind, more than command_timeout, "
+                f"{self._timeout:g} s: {_CLOCKS}, unless the command was delayed"
             )
-        if self._stamp_ns is not None and stamp_ns < self._stamp_ns and now < self._until:
+        if self._stamp_ns is not None and stamp_ns < self._stamp_ns and self.is_held(now):
             return "the command is older than the last one"
         return ""
 
@@ -159,9 +187,9 @@ class CommandSettings(CheckedSettings):
     )
     stamp_tolerance: float = option(
         STAMP_TOLERANCE,
-        "Largest time [s] by which a command may be stamped ahead of this computer's clock; "
-        "commands stamped further ahead are rejected. Increase it only if the clocks of two "
-        "computers cannot be synchronised.",
+        "Largest time [s] by which a command may be stamped ahead of this node's clock; "
+        "commands stamped further ahead are rejected. Stamps that are always behind by more are a "
+        "warning. Increase it only if the clocks of two computers cannot be synchronised.",
         within=(0.0, 3600.0),
     )
 
@@ -191,7 +219,7 @@ class CurrentCommander(Commander[float]):
 
     def set_by_hand(self, current: float) -> None:
         """Set this current until a command arrives."""
-        self._target, self._stamp_ns = self._limited(current), None
+        self._target, self._stamp_ns, self.holder = self._limited(current), None, ""
         self._until = math.inf
 
     def state(self, now: float) -> CommandState:

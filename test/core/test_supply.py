@@ -6,20 +6,25 @@ import select
 import threading
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from waiting import SetClock, until
 
-from benchmarks.instrument_server import InstrumentServer
 from mr_damper_ros.emulation.instrument import EmulatedInstrument
-from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander, Origin
+from mr_damper_ros.emulation.instrument_faults import INSTRUMENT_FAULTS
+from mr_damper_ros.emulation.instrument_server import InstrumentServer
+from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander, Origin, named
 from mr_damper_ros.rig.supplies.scpi_link import (
-    DirectLink,
+    DirectTransport,
     LinkLostError,
     Patience,
+    ScpiLink,
     connect,
 )
 from mr_damper_ros.rig.supplies.supply import (
@@ -28,10 +33,14 @@ from mr_damper_ros.rig.supplies.supply import (
     SupplyError,
     SupplyProfile,
     read_profile,
+    reports_error,
 )
 
 SECOND = 10**9
-TIMEOUT = 0.2
+NEARLY = 0.02
+"""[A]: a coil after four time constants."""
+
+TIMEOUT = 0.5
 """Timeout [s] of the links in these tests; each missing answer costs one."""
 
 with_visa = pytest.mark.skipif(find_spec("pyvisa_py") is None, reason="PyVISA-py is missing")
@@ -71,8 +80,8 @@ def test_a_command_stamped_ahead_within_the_tolerance_keeps_no_other_out() -> No
     [
         (math.nan, 0.0, "not finite"),
         (math.inf, 0.0, "not finite"),
-        (1.0, 0.6, "0.6 s old"),
-        (1.0, -0.45, "0.45 s ahead, more than the tolerance of 0.05 s"),
+        (1.0, 0.6, "0.6 s behind, more than command_timeout, 0.5 s: the clocks differ"),
+        (1.0, -0.45, "0.45 s ahead, more than the tolerance of 0.05 s: the clocks differ"),
         (1.0, math.nan, "command_timeout"),
     ],
 )
@@ -90,6 +99,30 @@ def test_a_command_that_was_overtaken_is_refused_while_the_newer_one_holds() -> 
     assert "older than the last one" in tried.command(0.3, SECOND, 0.1, now=0.1)
     # After a timeout, an earlier stamp means that the clock was set.
     assert tried.command(0.3, SECOND, 0.1, now=0.6) == ""
+
+
+def test_one_commander_holds_the_supply_until_it_has_been_silent_for_its_time_out() -> None:
+    tried = commander(command_timeout=0.5)
+    assert tried.command(1.0, 0, 0.0, now=0.0, commander="/a") == ""
+    for name, told in (("/b", "/b is refused"), ("", "the commander without a name is refused")):
+        objection = tried.command(0.1, 1, 0.0, now=0.49, commander=name)
+        assert f"/a commands at present, so {told} until /a has been silent for 0.5 s" in objection
+    assert tried.step(0.49) == 1.0
+    assert tried.command(0.5, 1, 0.0, now=0.5, commander="/b") == ""
+    assert tried.step(0.5) == 0.5
+    assert "/b commands at present" in tried.command(1.0, 2, 0.0, now=0.6, commander="/a")
+
+
+def test_a_current_set_by_hand_is_not_held() -> None:
+    tried = commander()
+    tried.command(1.0, 0, 0.0, now=0.0, commander="/a")
+    tried.set_by_hand(0.5)
+    assert tried.command(0.1, 1, 0.0, now=0.1, commander="/b") == ""
+
+
+def test_the_name_of_a_commander_cannot_break_a_log() -> None:
+    assert named("x\n[ERROR] y" + "z" * 1000).startswith("x [ERROR] yzz")
+    assert len(named("x" * 1000)) <= 100
 
 
 def test_commands_are_cut_to_the_limits_and_counted() -> None:
@@ -164,8 +197,9 @@ def test_it_complains_in_a_queue_that_overflows(instrument: EmulatedInstrument) 
         ("set_current: X", "does not say with which instruments"),
         ("tested: no\nset_current: CURR {amps}", "of the profile is invalid"),
         ("tested: no\nset_current: CURR {", "of the profile is invalid"),
-        ("tested: no\nwatchdog_step: quick", "must be a positive number"),
-        ("tested: no\nwatchdog_step: 0", "must be a positive number"),
+        ("tested: no\nwatchdog_step: quick", "must be a number from 0.001 to 3600 "),
+        ("tested: no\nwatchdog_step: 0", "must be a number from 0.001 to 3600 "),
+        ("tested: no\npause: 2", "must be a number from 0 to 1 "),
         ("a: [", "is not valid YAML"),
     ],
 )
@@ -197,12 +231,17 @@ def server(instrument: EmulatedInstrument) -> Iterator[InstrumentServer]:
 
 
 def supply_at(address: str, profile: str = "emulated") -> ScpiSupply:
+    return made_supply(partial(connect, address), profile)
+
+
+def made_supply(connect: Callable[[Patience, str], ScpiLink], profile: str) -> ScpiSupply:
     return ScpiSupply(
-        lambda patience: connect(address, patience),
+        connect,
         read_profile(profile),
         voltage=12.0,
         watchdog=0.5,
         timeout=TIMEOUT,
+        tolerance=0.05,
     )
 
 
@@ -231,15 +270,41 @@ def test_it_is_off_and_without_current_until_it_is_switched_on(
     assert supply.measured() == pytest.approx(0.0, abs=1e-3)
 
 
-@pytest.mark.parametrize("answer", ["", "nan", "9.91E+37", "-9.9E37"])
+def answering(process: Callable[[str], str | None]) -> ScpiSupply:
+    """A supply in this process."""
+    return made_supply(
+        lambda patience, identity: ScpiLink(DirectTransport(process), patience, identity), "scpi"
+    )
+
+
+@pytest.mark.parametrize("answer", ["nan", "9.91E+37", "-9.9E37", "OVERLOAD"])
 def test_what_is_no_number_is_no_measured_current(answer: str) -> None:
     instrument = EmulatedInstrument()
-    link = DirectLink(lambda line: answer if line == "MEAS:CURR?" else instrument.process(line))
-    profile = read_profile("emulated")
-    supply = ScpiSupply(lambda _: link, profile, voltage=12.0, watchdog=0.5, timeout=TIMEOUT)
+    answers: dict[str, str] = {}
+    supply = answering(lambda line: answers.get(line) or instrument.process(line))
     supply.open()
+    answers["MEAS:CURR?"] = answer
     with pytest.raises(SupplyError, match="is not a current"):
         supply.measured()
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        *('0,"No error"', '+0,"No error"', "0  No Error", '00,"No error"', '0 ,"No error"', "0"),
+        *("-0, ok", '"0,No error"', "0;none", "0\tNo Error", "No error", "NO_ERROR", "0.0, none"),
+    ],
+)
+def test_the_number_0_or_the_words_mean_no_error(answer: str) -> None:
+    assert not reports_error(answer)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    ['-113,"Undefined header"', "+5", "01 Bad", "0x1F,bad", "error", "10,No error code", "-100;0"],
+)
+def test_any_other_number_or_text_is_an_error(answer: str) -> None:
+    assert reports_error(answer)
 
 
 def test_the_watchdog_is_set_before_there_is_current_and_armed_again_without_current(
@@ -249,7 +314,7 @@ def test_the_watchdog_is_set_before_there_is_current_and_armed_again_without_cur
     supply.switch_on()
     assert server.lines.index("OUTP:PROT:WDOG ON") < server.lines.index("OUTP ON")
     give(supply, 1.0)
-    clock.now += 0.51
+    clock.now += 1.0
     assert server.instrument.is_off
     supply.switch_on()
     assert not server.instrument.is_off
@@ -269,7 +334,7 @@ def test_a_profile_that_does_not_fit_is_told_at_once(
     supply.open()
     with pytest.raises(SupplyError, match="after switching the output on: -113"):
         supply.switch_on()
-    assert server.instrument.is_off
+    assert supply.switched_on, "it must still be switched off"
     supply.close()
 
 
@@ -286,9 +351,26 @@ def test_a_cut_connection_is_a_lost_link_and_the_output_goes_off_over_a_new_one(
         supply.measured()
     assert supply.switched_on
     assert not server.instrument.is_off
-    supply.rescue()
+    off = supply.off_sequence()
+
+    def sleep(duration: float) -> None:
+        clock.now += duration
+
+    while not off.decided:
+        supply.attempt(off, sleep)
     assert server.instrument.is_off
     assert not supply.switched_on
+
+
+def test_the_output_on_at_zero_is_refused_where_there_is_a_current(
+    supply: ScpiSupply, server: InstrumentServer
+) -> None:
+    server.instrument = EmulatedInstrument()  # in real time
+    supply.open()
+    server.instrument.process("CURR 1.0")
+    server.fault = INSTRUMENT_FAULTS["refuses_zero"]
+    with pytest.raises(SupplyError, match="is set to zero current but gives"):
+        supply.switch_on()
 
 
 @pytest.mark.parametrize("address", ["", "a b", "host:99999", "host:port"])
@@ -373,14 +455,18 @@ def live() -> Iterator[InstrumentServer]:
     serving.close()
 
 
-def in_thread(server: InstrumentServer, said: list[str], current: float = 1.0) -> SupplyDrive:
-    """A supply without a watchdog, driven by hand."""
-    supply = supply_at(server.address, "scpi")
+def in_thread(
+    server: InstrumentServer,
+    said: list[str],
+    hand: CurrentCommander | None = None,
+    profile: str = "scpi",
+) -> SupplyDrive:
+    """A supply, by default without a watchdog, driven by hand."""
+    supply = supply_at(server.address, profile)
     supply.open()
     drive = SupplyDrive(
         supply,
-        CurrentCommander(CommandSettings(), current),
-        tolerance=0.05,
+        hand or CurrentCommander(CommandSettings(), 1.0),
         period=0.02,
         clock_ns=time.time_ns,
         publish=lambda *_: None,
@@ -398,33 +484,115 @@ def test_a_supply_that_dribbles_is_switched_off_over_a_new_link(live: Instrument
     said: list[str] = []
     thread = in_thread(live, said)
     gives_current(live)
-    live.dribble = 0.2 * TIMEOUT
+    live.fault = replace(INSTRUMENT_FAULTS["dribble"], dribble=0.2 * TIMEOUT)
     until(lambda: live.instrument.is_off, "no output")
     assert "has not answered within" in said[0]
-    assert not thread.finished, "it was not heard to be off"
-    live.dribble = 0.0
+    assert not thread.finished, "it was not measured to be off"
+    live.fault = INSTRUMENT_FAULTS["none"]
     until(lambda: thread.finished, "the end of the thread")
 
 
-def test_stopping_a_supply_that_answers_is_confirmed(live: InstrumentServer) -> None:
-    thread = in_thread(live, [])
-    gives_current(live)
-    assert thread.stop()
-    assert live.instrument.is_off
-    assert thread.failure == ""
-
-
-def test_stopping_a_supply_that_dribbles_ends_and_says_what_could_not_be_done(
+def test_a_setpoint_of_zero_that_is_not_followed_switches_the_output_off(
     live: InstrumentServer,
 ) -> None:
+    said: list[str] = []
+    live.fault = INSTRUMENT_FAULTS["refuses_zero"]
+    hand = CurrentCommander(CommandSettings(), 1.0)
+    thread = in_thread(live, said, hand)
+    gives_current(live)
+    hand.set_by_hand(0.0)
+    thread.wake()
+    until(lambda: live.instrument.is_off, "no output")
+    until(lambda: thread.finished, "the end of the thread")
+    assert "is set to zero current but gives 1.000 A" in said[0]
+
+
+def test_a_lost_setpoint_is_sent_again(live: InstrumentServer) -> None:
     thread = in_thread(live, [])
     gives_current(live)
-    live.dribble = 0.2 * TIMEOUT
+    live.instrument.process("CURR 0.3")  # as if the line of the thread had been lost
+    gives_current(live)
+    assert thread.stop()
+
+
+def test_a_setpoint_that_changes_is_sent_once(live: InstrumentServer) -> None:
+    hand = CurrentCommander(CommandSettings(), 0.5)
+    thread = in_thread(live, [], hand)
+    until(lambda: live.instrument.current() > 0.4, "the current")
+    first = len(live.lines)
+    for step in range(20):
+        hand.set_by_hand(1.5 if step % 2 else 0.5 + 0.01 * step)
+        thread.wake()
+        time.sleep(0.03)
+    sent = [line for line in live.lines[first:] if line.startswith("CURR")]
+    assert len(sent) > 10
+    assert all(a != b for a, b in pairwise(sent))
+    assert thread.stop()
+
+
+FAULTS = {name: fault for name, fault in INSTRUMENT_FAULTS.items() if name != "none"}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_off_is_reported_if_and_only_if_no_current_is_measured(
+    live: InstrumentServer, name: str
+) -> None:
+    fault = FAULTS[name]
+    live.fault = fault if fault.usable else INSTRUMENT_FAULTS["none"]
+    thread = in_thread(live, [], profile="emulated" if fault.watchdog else "scpi")
+    until(lambda: thread.measured > 0.999, "the current")
+    live.fault = fault
+    if fault.cut_after:
+        live.cut()
+    off = thread.stop()
+    assert off == (fault.obeys and fault.measures)
+    assert (live.instrument.current() < NEARLY) == fault.obeys
+    if not fault.measures:
+        assert "commanded off, not measured: the coil may still carry 1.0 A" in thread.problem
+    elif not fault.obeys:
+        assert "not confirmed: the coil may still carry 1.0 A" in thread.problem
+    thread.end()
+    assert thread.finished
+
+
+@pytest.mark.parametrize(
+    "name",
+    [name for name, fault in INSTRUMENT_FAULTS.items() if fault.usable and not fault.refused],
+)
+def test_a_setpoint_of_zero_that_is_followed_slowly_switches_nothing_off(
+    live: InstrumentServer, name: str
+) -> None:
+    live.instrument = EmulatedInstrument(time_constant=0.2)
+    live.fault = INSTRUMENT_FAULTS[name]
+    hand = CurrentCommander(CommandSettings(), 1.0)
+    thread = in_thread(live, [], hand)
+    gives_current(live)
+    hand.set_by_hand(0.0)
+    thread.wake()
+    until(lambda: live.instrument.current() < 0.1 * NEARLY, "no current")
+    assert thread.failure == ""
+    assert not live.instrument.is_off
+    assert thread.stop()
+
+
+def test_a_second_stop_does_not_wait_again(live: InstrumentServer) -> None:
+    thread = in_thread(live, [])
+    gives_current(live)
+    live.fault = INSTRUMENT_FAULTS["ignores"]
     assert not thread.stop()
     begin = time.monotonic()
     assert not thread.stop()
-    assert time.monotonic() - begin < 1.0, "the second call waits again"
-    assert "has not answered within" in thread.failure
-    assert live.instrument.is_off
+    assert time.monotonic() - begin < 1.0
     thread.end()
-    assert thread.finished
+
+
+def test_it_goes_on_until_the_supply_is_off(live: InstrumentServer) -> None:
+    said: list[str] = []
+    thread = in_thread(live, said)
+    gives_current(live)
+    live.fault = INSTRUMENT_FAULTS["ignores"]
+    assert not thread.stop()
+    assert len(said) == 1
+    live.fault = INSTRUMENT_FAULTS["none"]
+    until(lambda: thread.finished, "the end of the thread")
+    assert "it is measured to be off" in thread.problem

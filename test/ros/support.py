@@ -52,10 +52,15 @@ class TriedProgram(Program):
 
     def stop(self, number: signal.Signals = signal.SIGINT, patience: float = PATIENCE) -> int:
         """Ask it to end, and assert that it does so cleanly and leaves nothing behind."""
+        code = self.ended_with(number, patience)
+        assert code == 0, self.errors
+        return code
+
+    def ended_with(self, number: signal.Signals, patience: float = PATIENCE) -> int:
+        """The exit code when it is asked to end; asserts that it leaves nothing behind."""
         assert self.running, f"{self.name} has ended by itself: {self.errors}"
         self.send_signal(number)
         code = self.wait(patience)
-        assert code == 0, self.errors
         assert "Traceback" not in self.log, self.errors
         with pytest.raises(ProcessLookupError):
             os.killpg(self.pid, 0)

@@ -617,7 +617,7 @@ function showAlarm(name, known, text) {
 
 function showAlarms() {
   const supply = concern("supply: supply"), command = concern("supply: current") ?? concern("bridge: current");
-  const origin = command?.values.origin, ofSupply = supply?.values.output ?? "off";
+  const origin = command?.values.origin, ofSupply = supply?.values.output ?? "unknown";
   const measured = Number(command?.values["measured [A]"]);
   const output = supply ? ofSupply + (ofSupply === "on" && Number.isFinite(measured) ? `, ${short(measured, 3)} A` : "")
     : { HAND: "set by hand", COMMAND: "commanded", TIMED_OUT: "0 A: commands have stopped" }[origin];

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -11,8 +12,14 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mr_damper_ros.rig.commander import CurrentCommander
+from mr_damper_ros.rig.supplies.off_sequence import FallingCurrent, OffSequence
 from mr_damper_ros.rig.supplies.scpi_link import LinkLostError, Patience, ScpiLink
+
+_NUMBERS = {"watchdog_step": (1e-3, 3600.0), "pause": (0.0, 1.0), "zero_timeout": (0.05, 10.0)}
+"""Ranges of the numbers in a profile."""
 
 _FILLED_IN = {"current": 1.0, "voltage": 1.0, "seconds": 1.0}
 """Allowed names in the braces of a command."""
@@ -26,8 +33,9 @@ class SupplyProfile:
     the instrument switches its output off if it receives no line for ``{seconds}``, the requested
     time rounded up to a multiple of ``watchdog_step`` [s]. Without these lines there is no
     watchdog. After the watchdog has tripped, ``rearm`` makes the instrument accept ``output_on``
-    again. An answer to ``read_error`` that begins with ``no_error`` means that there are no more
-    errors. ``tested`` says in a sentence with which instruments the profile was tested.
+    again. Lines are sent at least ``pause`` [s] apart. After the current is set to zero, its
+    measured value falls by half within each ``zero_timeout`` [s]. ``tested`` says in a sentence
+    with which instruments the profile was tested.
     """
 
     tested: str
@@ -36,11 +44,12 @@ class SupplyProfile:
     output_on: str = "OUTP ON"
     output_off: str = "OUTP OFF"
     read_error: str = "SYST:ERR?"
-    no_error: tuple[str, ...] = ("0,", "+0,")
     setup: tuple[str, ...] = ("VOLT {voltage:.3f}",)
     watchdog: tuple[str, ...] = ()
     watchdog_step: float = 1.0
     rearm: tuple[str, ...] = ()
+    pause: float = 0.0
+    zero_timeout: float = 0.5
 
     def watchdog_delay(self, wanted: float) -> float:
         """The shortest delay [s] of the instrument's watchdog that is at least ``wanted``."""
@@ -77,13 +86,16 @@ def _profile(content: Any, name: str) -> SupplyProfile:
             raise ValueError(
                 f"the profile '{name}' has the unknown entry '{key}': use {', '.join(defaults)}"
             )
-        if key == "watchdog_step":
-            if type(value) not in (int, float) or not 0.0 < value < math.inf:
-                raise ValueError(f"'{key}' of the profile '{name}' must be a positive number [s]")
+        if key in _NUMBERS:
+            low, high = _NUMBERS[key]
+            if type(value) not in (int, float) or not low <= value <= high:
+                raise ValueError(
+                    f"'{key}' of the profile '{name}' must be a number from {low:g} to {high:g} [s]"
+                )
             values[key] = float(value)
             continue
         lines = tuple(map(str, value if isinstance(value, list) else [value]))
-        for line in lines if key not in ("tested", "no_error") else ():
+        for line in lines if key != "tested" else ():
             try:
                 line.format(**_FILLED_IN)
             except (KeyError, IndexError, ValueError) as error:
@@ -112,32 +124,57 @@ class SupplyError(ValueError):
     """The instrument gives an unexpected answer; the message is a sentence."""
 
 
+class NotOffError(SupplyError):
+    """The instrument is not measured to be off; the message is a sentence."""
+
+
+def reports_error(answer: str) -> bool:
+    """Whether an answer to ``read_error`` is an error: a number other than 0, or other words.
+
+    The number ends at the first separator; "no error" needs no number.
+    """
+    number = _ERROR_NUMBER.match(answer)
+    if number is not None:
+        return float(number[1]) != 0.0
+    return _NO_ERROR.search(answer) is None
+
+
+_ERROR_NUMBER = re.compile(r"[\s\"']*([+-]?\d+(?:\.\d*)?)(?![\w.])")
+_NO_ERROR = re.compile(r"\bno[\s_-]*errors?\b", re.IGNORECASE)
+
+
 class ScpiSupply:
     """One instrument; every method raises LinkLostError if it does not answer.
 
     ``connect`` opens a link, on which each answer must arrive within ``timeout`` [s]. ``voltage``
     [V] is the largest coil voltage. ``watchdog`` [s] is the time without a line after which the
-    instrument switches its output off, if its profile has a watchdog.
+    instrument switches its output off, if its profile has a watchdog. Currents of at most
+    ``tolerance`` [A] are zero.
     """
 
     def __init__(
         self,
-        connect: Callable[[Patience], ScpiLink],
+        connect: Callable[[Patience, str], ScpiLink],
         profile: SupplyProfile,
         *,
         voltage: float,
         watchdog: float,
         timeout: float,
+        tolerance: float,
     ) -> None:
         self._connect = connect
+        self._timeout = timeout
         self.patience = Patience(timeout)
+        self.tolerance, self.zero_timeout = tolerance, profile.zero_timeout
         self._profile = profile
         self._voltage = voltage
         self._delay = profile.watchdog_delay(watchdog)
         self._link: ScpiLink | None = None
+        self._identity = ""
         self._given = ""
+        self._setpoint = self._measured = math.nan
         self.switched_on = False
-        """Whether the output was switched on and has not been confirmed as off since then."""
+        """Whether the output was switched on and has not been measured as off since then."""
 
     @property
     def watchdog(self) -> float:
@@ -147,68 +184,128 @@ class ScpiSupply:
     def open(self) -> str:
         """Connect, switch the output off and set the instrument up; returns its identification.
 
-        Raises SupplyError if the instrument reports an error.
+        Raises SupplyError if the instrument reports an error, NotOffError if it is not measured to
+        be off.
         """
         self.close()
-        self.patience.end = math.inf
-        self._link = self._connect(self.patience)
-        name = self._link.query("*IDN?")
-        self.switch_off()
+        self._identity = ""
+        self._set_patience(self._timeout)
+        self._identity = self._linked().identify()
+        off = self.off_sequence()
+        while not off.decided:
+            self.attempt(off, time.sleep)
+        if not off.is_off:
+            raise NotOffError(off.sentence)
+        self._begin_setup()
+        self.errors()  # they are older
         for line in self._profile.setup:
             self._write(line)
         self._require_no_errors("the set-up")
-        return name
+        return self._identity
 
     def switch_on(self) -> None:
-        """Switch the output on, at zero current; raises SupplyError if the instrument objects."""
-        self.patience.end = math.inf
-        self.switch_off()
+        """Switch the output on at zero current, which is measured.
+
+        Raises SupplyError if the instrument reports an error or gives a current.
+        """
+        self._begin_setup()
+        self.give(0.0, again=True)
+        self._write(self._profile.output_off)
+        self.errors()  # zero is checked by measurement
         for line in (*self._profile.rearm, *self._profile.watchdog):
             self._write(line)
         self.switched_on = True
         self._write(self._profile.output_on)
+        self._require_no_errors("switching the output on")
+        time.sleep(_RISE)
+        current = self.measured()
+        if abs(current) > self.tolerance:
+            raise SupplyError(_not_zero(current))
+        self._linked().command_pause = 0.0
+
+    def off_sequence(self, *, at_once: bool = False) -> OffSequence:
+        """A new sequence of attempts to switch this supply off."""
+        return OffSequence(
+            time.monotonic(),
+            tolerance=self.tolerance,
+            halving=self.zero_timeout,
+            timeout=self._timeout,
+            watchdog=self.watchdog,
+            current=float(np.fmax(abs(self._measured), abs(self._setpoint))),
+            at_once=at_once,
+        )
+
+    def attempt(self, off: OffSequence, sleep: Callable[[float], object]) -> None:
+        """Make the next attempt to switch off, over a new link if the present one fails.
+
+        It is abandoned if ``sleep``, which waits for a time [s], returns True.
+        """
+        made = off.next(time.monotonic())
+        self._set_patience(made.timeout)
+        if sleep(made.wait):
+            return
+        sent = False
         try:
-            self._require_no_errors("switching the output on")
-        except SupplyError:
-            self.switch_off()
-            raise
+            link = self._linked()
+            link.command_pause = made.pause
+            sent = True
+            if made.zero:
+                self.give(0.0, again=True)
+            if made.output_off:
+                self._write(self._profile.output_off)
+            current = self.measured()
+        except Exception as error:  # whatever the error, attempts must go on
+            if not isinstance(error, SupplyError):
+                with suppress(LinkLostError):
+                    self.close()
+            if not self.patience.ended:
+                off.missed(time.monotonic(), str(error), sent=sent)
+        else:
+            off.measured(time.monotonic(), current)
+        if off.is_off:
+            self.switched_on = False
 
-    def switch_off(self) -> None:
-        """Set zero current, switch the output off, and check that the lines have arrived."""
-        self._given = ""
-        self.give(0.0)
-        self._write(self._profile.output_off)
-        # An answer confirms that the lines before it have arrived. Reported errors may be older.
-        if self.errors():
-            self._write(self._profile.output_off)
-            self._require_no_errors("switching the output off")
-        self.switched_on = False
-
-    def give(self, current: float) -> None:
-        """Set the current [A], unless it is already set."""
+    def give(self, current: float, *, again: bool = False) -> None:
+        """Set the current [A], unless it is already set and not to be sent ``again``."""
         line = self._profile.set_current.format(current=current)
-        if line != self._given:
+        if again or line != self._given:
+            self._given = ""
+            self._setpoint = current
             self._write(line)
             self._given = line
 
+    def repeat(self, current: float) -> None:
+        """Set the current [A] again, after a pause in which the instrument can execute lines."""
+        link = self._linked()
+        link.command_pause = _SETUP_PAUSE
+        self.give(current, again=True)
+        link.command_pause = 0.0
+
     def measured(self) -> float:
         """The current [A] measured by the instrument; raises SupplyError for a bad answer."""
-        answer = self._linked().query(self._profile.read_current)
-        try:
-            value = float(answer)
-        except ValueError:
+        link = self._linked()
+        for _ in range(_MOST_LATE_ANSWERS):
+            answer = link.query(self._profile.read_current)
+            try:
+                value = float(answer)
+            except ValueError:
+                link.synchronise()  # it may be the answer to another query
+            else:
+                break
+        else:
             value = math.nan
         if not abs(value) < _NOT_A_NUMBER:
             raise SupplyError(
                 f"the supply answers '{answer[:80]}' to {self._profile.read_current}, which is not "
                 "a current: is the profile right for this instrument?"
             )
+        self._measured = value
         return value
 
     def next_error(self) -> str:
         """Read the oldest error in the instrument's queue; empty if there is none."""
         answer = self._linked().query(self._profile.read_error)
-        return "" if answer.startswith(self._profile.no_error) else answer
+        return answer if reports_error(answer) else ""
 
     def errors(self) -> list[str]:
         """Read all errors in the instrument's queue."""
@@ -221,14 +318,6 @@ class ScpiSupply:
                     f"{self._profile.read_error}; is the profile right for this instrument?"
                 )
         return found
-
-    def rescue(self) -> None:
-        """Switch the output off over a new link, regardless of the time limit of the old link."""
-        self.patience.end = math.inf
-        with suppress(LinkLostError):  # the old link is abandoned
-            self.close()
-        self._link = self._connect(self.patience)
-        self.switch_off()
 
     def close(self) -> None:
         """Close the link; the instrument keeps its state."""
@@ -246,36 +335,66 @@ class ScpiSupply:
     def _write(self, line: str) -> None:
         self._linked().write(line.format(voltage=self._voltage, seconds=self._delay))
 
+    def _begin_setup(self) -> None:
+        """Send the next lines with pauses, because some instruments lose lines without notice."""
+        self._set_patience(self._timeout)
+        self._linked().command_pause = _SETUP_PAUSE
+
+    def _set_patience(self, timeout: float) -> None:
+        self.patience.timeout, self.patience.end = timeout, math.inf
+
     def _linked(self) -> ScpiLink:
+        """The present link, or a new one."""
         if self._link is None:
-            raise LinkLostError("there is no link to the supply")
+            self._link = self._connect(self.patience, self._identity)
+            self._link.pause = self._profile.pause
         return self._link
 
+
+def _not_zero(current: float) -> str:
+    return f"the supply is set to zero current but gives {current:.3f} A"
+
+
+_MOST_LATE_ANSWERS = 3
+"""Answers that may be late before one counts as the instrument's own."""
 
 _SETTLING = 1.0
 """Settling time [s] of a coil and a supply at a new current; also the interval between two checks
 of the instrument's queue of errors."""
 
+_SETUP_PAUSE = 0.06
+"""Pause [s] before each line of the set-up, and before a line that is repeated."""
 
-_STOP = 3.0
-"""Time limit [s] for a supply to confirm that it is off; the process has ten seconds to end."""
+_RISE = 0.1
+"""Time [s] in which the current of an output that is not at zero becomes measurable."""
 
-_LAST_ANSWER = 0.5 * _STOP
-"""Time limit [s] for the last answers over the present link when switching off."""
+_LOST = 0.1
+"""Time [s] after which a setpoint that is not reached is sent again: the line may be lost."""
 
-_RETRY_PERIOD = 0.5
-"""Time [s] between two attempts to switch off a supply that does not answer."""
+_FAST_PERIOD = 0.02
+"""Longest time [s] between two readings until the current has fallen to zero."""
+
+_GRACE = 0.1
+"""Time [s] that an awaited answer has when the supply must be switched off."""
+
+_LAST_TRY = 1.0
+"""Time [s] for another attempt on a supply that was not measured to be off before."""
+
+_LONGEST_STOP = 6.0
+"""Longest wait [s] for a verdict; the process has ten seconds to end."""
+
+_REMINDER_PERIOD = 10.0
+"""Time [s] between two log entries while the supply is not measured to be off."""
 
 
 class SupplyDrive:
     """A supply that follows commands in its own thread; it is switched off at the end or on errors.
 
     ``given`` and ``measured`` are currents [A]; the supply ``deviates`` if they differ by more than
-    ``tolerance`` [A] for longer than the settling time. If the instrument does not answer, the
-    thread sends the command to switch off over new links, until the instrument confirms it or
-    :meth:`end` is called. ``failure`` says why the supply is no longer driven. ``publish`` receives
-    the time [ns] by ``clock_ns`` and the measured current [A] every ``period`` [s]; ``log_error``
-    receives error messages.
+    the tolerance for longer than the settling time. ``failure`` says why the supply is no longer
+    driven. ``off`` is the sequence that switches it off; its attempts go on until the instrument
+    measures no current or :meth:`end` is called. ``publish`` receives the time [ns] by ``clock_ns``
+    and the measured current [A] every ``period`` [s]; ``log_error`` receives error messages.
     """
 
     def __init__(
@@ -283,7 +402,6 @@ class SupplyDrive:
         supply: ScpiSupply,
         commander: CurrentCommander,
         *,
-        tolerance: float,
         period: float,
         clock_ns: Callable[[], int],
         publish: Callable[[int, float], None],
@@ -291,7 +409,6 @@ class SupplyDrive:
     ) -> None:
         self._supply = supply
         self._commander = commander
-        self._tolerance = tolerance
         self._period = period
         self._clock_ns = clock_ns
         self._publish = publish
@@ -300,9 +417,12 @@ class SupplyDrive:
         self.deviates = False
         self.complaints = 0
         self.last_complaint = self.failure = ""
+        self.off: OffSequence | None = None
+        self._off_target = False
+        self._changed = -math.inf
         self._checked = -math.inf
         self._stopping = False
-        self._deadline = math.inf
+        self._stopped_at = math.inf
         self._woken = threading.Event()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="supply", daemon=True)
@@ -331,33 +451,43 @@ class SupplyDrive:
 
     @property
     def finished(self) -> bool:
-        """Whether the thread has ended: the output is off, or :meth:`end` was called."""
+        """Whether the thread has ended: the supply is off, or :meth:`end` was called."""
         return not self._thread.is_alive()
+
+    @property
+    def problem(self) -> str:
+        """The failure, and whether the supply is off, in words; empty without a failure."""
+        return "; ".join(filter(None, [self.failure, self.off.sentence if self.off else ""]))
 
     def wake(self) -> None:
         """Wake the thread for a new command."""
         self._woken.set()
 
     def stop(self) -> bool:
-        """Switch off; returns whether the instrument confirms it within a few seconds.
+        """Switch off; returns whether no current is measured, after a few seconds at most.
 
-        The time limit counts from the first call. Without confirmation, the thread keeps trying.
+        The time limit counts from the first call. Without this measurement, the thread goes on.
         """
         now = time.monotonic()
         if not self._stopping:
-            self._supply.patience.end = now + _LAST_ANSWER
-            self._deadline = now + _STOP
+            self._stopped_at = now
+            if self.off is None:
+                self._supply.patience.end = now + _GRACE
             self._stopping = True
             self._woken.set()
-        self._thread.join(max(self._deadline - now, 0.0))
-        if not self.finished and not self.failure:
-            self.failure = "the supply does not answer"
+        while not self.finished:
+            decided = self.off is not None and self.off.decided
+            if time.monotonic() - self._stopped_at > (_LAST_TRY if decided else _LONGEST_STOP):
+                break
+            self._thread.join(0.01)
+        if self.off is not None and self.off.is_off:
+            self._thread.join(1.0)
         return self.finished and not self._supply.switched_on
 
     def end(self) -> None:
         """Stop trying to switch off, and end the thread."""
         self._ended.set()
-        self._supply.patience.end = 0.0
+        self._supply.patience.end = -math.inf
         self._thread.join(1.0)
 
     def _run(self) -> None:
@@ -365,43 +495,74 @@ class SupplyDrive:
             if not self.failure:
                 self._follow()
         except Exception as error:  # whatever the error, the current must not stay on
-            self.failure = (
-                str(error)
-                if isinstance(error, (LinkLostError, SupplyError))
-                else f"driving the supply failed: {error}"
-            )
-            self._log_error(f"{self.failure}: trying to switch the output off")
-        while self._supply.switched_on and not self._ended.is_set():
-            try:
-                self._supply.rescue()
-            except Exception:  # after any error, as above
-                self._ended.wait(_RETRY_PERIOD)
+            if not self._stopping:
+                self.failure = (
+                    str(error)
+                    if isinstance(error, (LinkLostError, SupplyError))
+                    else f"driving the supply failed: {error}"
+                )
+                self._log_error(f"{self.failure}: trying to switch the output off")
+            if isinstance(error, LinkLostError) and not self._stopping:
+                with suppress(LinkLostError):  # the old link is abandoned
+                    self._supply.close()
+            at_once = True
+        else:
+            at_once = False
+        self.given = 0.0
+        self._switch_off(at_once=at_once)
+
+    def _switch_off(self, *, at_once: bool) -> None:
+        off = self.off = self._supply.off_sequence(at_once=at_once)
+        reminded = -math.inf
+        while not off.is_off and not self._ended.is_set():
+            self._supply.attempt(off, self._ended.wait)
+            now = time.monotonic()
+            if off.decided and not off.is_off and now > reminded:
+                self._log_error(self.problem)
+                reminded = now + _REMINDER_PERIOD
 
     def _follow(self) -> None:
         due = time.monotonic()
+        falling: FallingCurrent | None = None
         while not self._stopping:
             self._woken.clear()
             now = time.monotonic()
             self._obey(now)
+            if self._off_target and now >= max(due, self._changed + _LOST):
+                self._supply.repeat(self.given)
+            if self.given != 0.0:
+                falling = None
+            elif falling is None:
+                falling, due = FallingCurrent(now, *self._zero), min(due, now + _FAST_PERIOD)
             if now >= due:
                 asked_ns = self._clock_ns()
                 self.measured = self._supply.measured()
-                if abs(self.measured - self.given) <= self._tolerance:
+                self._off_target = abs(self.measured - self.given) > self._supply.tolerance
+                if not self._off_target:
                     self._agreed = now
                 self.deviates = now - self._agreed > _SETTLING
                 self._publish((asked_ns + self._clock_ns()) // 2, self.measured)
+                if falling is not None and not falling.falls(time.monotonic(), self.measured):
+                    raise SupplyError(_not_zero(self.measured))
                 # The answer may have taken long.
                 self._obey(time.monotonic())
                 self._check(now)
-                due = max(due + self._period, time.monotonic())
+                period = self._period
+                if falling is not None and self._off_target:
+                    period = min(period, _FAST_PERIOD)
+                due = max(due + period, time.monotonic())
             now = time.monotonic()
             self._woken.wait(max(min(due - now, self._commander.wait(now)), 0.0))
-        self.given = 0.0
-        self._supply.switch_off()
 
     def _obey(self, now: float) -> None:
-        self.given = self._commander.step(now)
+        before, self.given = self.given, self._commander.step(now)
+        if self.given != before:
+            self._changed = now
         self._supply.give(self.given)
+
+    @property
+    def _zero(self) -> tuple[float, float]:
+        return self._supply.tolerance, self._supply.zero_timeout
 
     def _check(self, now: float) -> None:
         """Read the next error of the instrument, regularly, or at once after another error."""
