@@ -22,12 +22,17 @@ def given_parameters(node: Node) -> dict[str, Any]:
     return {name: parameter.value for name, parameter in node._parameter_overrides.items()}
 
 
+def has_simulated_time(node: Node) -> bool:
+    """Whether the node's time comes from the clock topic."""
+    return bool(node._time_source.ros_time_is_active)
+
+
 def now_ns(node: Node) -> int:
     """Time [ns] by the node's clock.
 
     Without simulated time it is the system time, which rclpy takes ten times as long to give.
     """
-    if node._time_source.ros_time_is_active:
+    if has_simulated_time(node):
         return int(node.get_clock().now().nanoseconds)
     return time.time_ns()
 

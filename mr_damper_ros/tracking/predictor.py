@@ -237,7 +237,7 @@ class ForcePredictor:
 
     def add_current(self, stamp_ns: int, current: float) -> None:
         """Add a value of the supply current [A]; raises CurrentError if it is not finite."""
-        self._current.add(stamp_ns, current)
+        self._current.add(self.sequence.continued(stamp_ns), current)
 
     def current_at(self, stamp_ns: int) -> float:
         """Supply current [A] at a stamp; NaN if unknown."""
@@ -328,7 +328,11 @@ class ForcePredictor:
             velocity = np.full(whole.sample_count, np.nan)
             part = _Part.unknown(velocity, DoubtKind.REPEATED, placed.sentence)
             return self._prediction(placed, [part])
-        if placed.kind == "jump_back":
+        leap_ns = placed.leap_ns
+        if leap_ns and self.freshness.follow_leap(leap_ns, whole.end_ns, now_ns):
+            self._current.follow_leap(leap_ns, whole.start_ns)
+            self._bank.follow_leap(leap_ns)
+        elif placed.kind == "jump_back":
             self._current.follow_jump()
             self.freshness.restart()
         stale = self.freshness.judge(whole.end_ns, now_ns)
