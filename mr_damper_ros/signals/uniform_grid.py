@@ -177,11 +177,12 @@ class Placed:
     for "first", "next" and "bridged". The first ``bridged`` samples of the block were not measured.
 
     The block excludes samples that arrived before; for a repeat, it is the arriving block.
-    ``stamp_ns`` is the time of the first measured value: its own stamp, unless the stamps are frozen
-    or the values were moved on the time axis. In the latter case, ``measured`` holds a measured force (n,) [N] for each sample, and
-    the time (n,) from the sample to this force in sample periods; otherwise it is None.
-    ``leap_ns`` is the time by which the stamps of a "gap" or "jump_back" leapt although the count
-    continues: a clock was set or, after a gap, the source paused; otherwise it is 0.
+    ``stamp_ns`` is the time of the first measured value: its own stamp, unless the stamps are
+    frozen or the values were moved on the time axis. In the latter case, ``measured`` holds a
+    measured force (n,) [N] for each sample, and the time (n,) from the sample to this force in
+    sample periods; otherwise it is None.
+    ``leap_ns`` is the time by which the stamps of a "gap" or "jump_back" leapt more than the count:
+    a clock was set or, after a gap, the source paused. It is 0 if the count was set back.
     """
 
     kind: str
@@ -337,8 +338,8 @@ class UniformGrid:
         if restarts or self._clock is None:
             leap_ns = 0
             if kind in ("gap", "jump_back") and self.last is not None and self._clock is not None:
-                end = _end(self.last)
-                leap_ns = block.start_ns - self._clock.at(end) if block.sequence == end else 0
+                if block.sequence >= _end(self.last):
+                    leap_ns = block.start_ns - self._clock.at(block.sequence)
             self._clock = StampClock(block.sequence, block.start_ns, block.period)
             self._sampling = NonUniformSampling(self._sampling.found)
             self._past.clear()
