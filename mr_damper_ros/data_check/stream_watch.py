@@ -52,9 +52,6 @@ _SHARE = 0.5
 _BLOCKS = 2.5
 """The values that leave are counted over at least so many blocks."""
 
-_BEHIND = 1.0
-"""Largest time [s] from the newest value that has left to the newest that has arrived."""
-
 _PAUSE = 0.5
 """A stream that is silent for this time [s], or for ten intervals if that is longer, begins anew.
 So it does if a stamp leaps by more than this time."""
@@ -106,22 +103,27 @@ class _Arrivals:
         self._values = (math.nan, math.nan)
         # Time [s], stamp [ns] and number of arrivals since the stream began, or began anew.
         self._begin, self._begin_ns, self._count = math.inf, 0, 0
+        # Silence [s] before the stream began anew.
+        self._pause = 0.0
 
     @property
     def interval(self) -> float:
         """Mean interval [s] of the arrivals; 0 if it is unknown."""
-        return (self.last - self._begin) / (self._count - 1) if self._count > 1 else 0.0
+        if self._count < 2:
+            return self._pause
+        return (self.last - self._begin) / (self._count - 1)
 
     @property
     def stamp_interval_ns(self) -> float:
         """Mean interval [ns] of the stamps; 0 if it is unknown."""
         return (self.stamp_ns - self._begin_ns) / (self._count - 1) if self._count > 1 else 0.0
 
-    def flows(self, time: float, since: float) -> bool:
-        """Whether values have arrived for so long, by the clock and by their stamps."""
-        stamped = (self.stamp_ns - self._begin_ns) / NANOSECONDS
+    def flows(self, time: float, since: float, *, stamped: bool = True) -> bool:
+        """Whether values have arrived for so long [s], and if ``stamped`` also by their stamps."""
         present = time - self.last < max(_PAUSE, 3.0 * self.interval)
-        return present and time - self._begin >= since and stamped >= since
+        by_stamps = (self.stamp_ns - self._begin_ns) / NANOSECONDS
+        stamped = stamped and self.stamp_ns != 0
+        return present and time - self._begin >= since and (by_stamps >= since or not stamped)
 
     def note(self, what: str, time: float, count: int = 1) -> _Slot:
         """Count something by name; returns the slot of the time."""
@@ -154,6 +156,7 @@ class _Arrivals:
         slot.age_ns = age_ns if slot.age_ns is None else min(slot.age_ns, age_ns)
 
     def _begin_anew(self, time: float, stamp_ns: int) -> None:
+        self._pause = time - self.last if self._count else 0.0
         self._begin, self._begin_ns, self._count = time, stamp_ns, 0
         self._values = (math.nan, math.nan)
 
@@ -162,8 +165,10 @@ class _Arrivals:
         since_ns = stamp_ns - self.stamp_ns
         before, last = self._values
         usual_ns = self.stamp_interval_ns
-        if since_ns == 0 and value != last:
-            slot.counts["repeated"] += 1
+        if since_ns == 0:
+            slot.counts["same"] += 1
+            # The same message sent again is no fault.
+            slot.counts["repeated"] += value != last
         if since_ns < _SHORT * usual_ns:
             slot.counts["early"] += 1
         if abs(last - 0.5 * (before + value)) > _SWING * abs(value - before):
@@ -196,8 +201,9 @@ class StreamWatch:
     """Watch of the ``channels`` (name and topic or address), which are joined to samples.
 
     Samples are made at the rate of the last channel. ``own_clocks``: each channel may have its own
-    clock. ``block`` is the number of samples in a block. ``publishers`` names the publishers of a
-    topic. All times are those of a steady clock [s]. The methods may be called by several threads.
+    clock. ``block`` is the number of samples in a block; with 0, what leaves is not judged.
+    ``publishers`` names the publishers of a topic. All times are those of a steady clock [s]. The
+    methods may be called by several threads.
     """
 
     def __init__(
@@ -205,7 +211,7 @@ class StreamWatch:
         channels: Mapping[str, str],
         *,
         own_clocks: bool = False,
-        block: int = 1,
+        block: int = 0,
         publishers: Publishers = _nobody,
     ) -> None:
         self._arrivals = {name: _Arrivals(where) for name, where in channels.items()}
@@ -230,6 +236,11 @@ class StreamWatch:
         with self._lock:
             self._arrivals[channel].add(time, stamp_ns, value, count)
 
+    def note(self, channel: str, what: str, time: float, count: int) -> None:
+        """Count something by name, for :meth:`counts`."""
+        with self._lock:
+            self._arrivals[channel].note(what, time, count)
+
     def reject(self, channel: str, time: float, reason: str) -> None:
         """Note a message that cannot be used, with the ``reason`` and what to change."""
         with self._lock:
@@ -237,13 +248,11 @@ class StreamWatch:
             arrivals.note("rejected", time)
             arrivals.reason = reason
 
-    def leave(
-        self, time: float, stamp_ns: int, period: float, displacement: Array, force: Array
-    ) -> None:
-        """Note samples (n,) that leave, the last of them with this stamp, ``period`` [s] apart."""
+    def leave(self, time: float, period: float, displacement: Array, force: Array) -> None:
+        """Note samples (n,) that leave, ``period`` [s] apart."""
         with self._lock:
             self._left.note("received", time, force.size)
-            self._left.last, self._left.stamp_ns = time, stamp_ns
+            self._left.last = time
             if period != self._period:
                 self._rows, self._period = RollingRows(2), period
             self._rows.add((displacement, force), force.size)
@@ -251,10 +260,26 @@ class StreamWatch:
 
     # What is wrong
 
-    def finding(self, time: float) -> Finding | None:
-        """The first cause why what leaves does not correspond to what arrives; None without one."""
+    def counts(self, channel: str, time: float) -> Counter[str]:
+        """What was counted in the last second, by name, such as "received" and "rejected"."""
         with self._lock:
-            return next(self._findings(time), None)
+            return self._arrivals[channel].counts(time)
+
+    def pace(self, channel: str, time: float) -> tuple[float, float]:
+        """Values per second, and seconds of their stamps per second; NaN in the first 1.5 s."""
+        with self._lock:
+            arrivals = self._arrivals[channel]
+            if not arrivals.flows(time, _BEGINS, stamped=False):
+                return math.nan, math.nan
+            rate = arrivals.counts(time, _BEGINS)["received"] / (_BEGINS + 0.5 * _SLOT)
+            interval = arrivals.interval
+            speed = arrivals.stamp_interval_ns / (interval * NANOSECONDS) if interval else math.nan
+            return rate, speed
+
+    def findings(self, time: float) -> list[Finding]:
+        """Why what leaves does not correspond to what arrives, the first cause first."""
+        with self._lock:
+            return list(self._findings(time))
 
     def _findings(self, time: float) -> Iterator[Finding]:
         for name, arrivals in self._arrivals.items():
@@ -263,11 +288,11 @@ class StreamWatch:
         yield from self._missing(time)
         yield from self._other_clock(time, _OTHER_CLOCK)
         for name, arrivals in self._arrivals.items():
-            if arrivals.counts(time, 2.0 * _WINDOW)["leaps"]:
+            if self._block and arrivals.counts(time, 2.0 * _WINDOW)["leaps"]:
                 yield Kind.CLOCK_SET.found(name, topic=arrivals.where, leap=arrivals.leap)
         if self._holds_up(time):
             yield from self._other_clock(time, _APART)
-            yield from self._unpublished(time)
+            yield self._unpublished(time)
         if time - self._left.last < _WINDOW:
             yield from self._units()
 
@@ -290,9 +315,11 @@ class StreamWatch:
                 allowed = _ABSENT
             if time - arrivals.last <= allowed:
                 continue
-            for other, present in self._arrivals.items():
+            for present in self._arrivals.values():
                 if present.where != arrivals.where and present.flows(time, allowed - _SLOT):
+                    other = present.where
                     yield Kind.CHANNEL_SILENT.found(name, topic=arrivals.where, other=other)
+                    break
 
     def _other_clock(self, time: float, least: float) -> Iterator[Finding]:
         """Channels whose stamps are at least so far apart [s]."""
@@ -312,6 +339,8 @@ class StreamWatch:
     def _holds_up(self, time: float) -> bool:
         """Whether values have arrived for long enough that samples must leave, and too few do."""
         arrivals = self._leader[1]
+        if not self._block:
+            return False
         window = max(_WINDOW, _BLOCKS * self._block * arrivals.interval)
         if window > _MEMORY or not arrivals.flows(time, _BEGINS + window - _WINDOW):
             return False
@@ -319,13 +348,13 @@ class StreamWatch:
         left = self._left.counts(time, window)["received"]
         return arrived >= _ENOUGH and left < _SHARE * arrived
 
-    def _unpublished(self, time: float) -> Iterator[Finding]:
+    def _unpublished(self, time: float) -> Finding:
         name, arrivals = self._leader
         window = max(_WINDOW, _BLOCKS * self._block * arrivals.interval)
         arrived = arrivals.counts(time, window)["received"]
         left = self._left.counts(time, window)["received"]
         share = left / arrived
-        yield Kind.UNPUBLISHED.found(name, value=share, share=share, topic=arrivals.where)
+        return Kind.UNPUBLISHED.found(name, value=share, share=share, topic=arrivals.where)
 
     def _units(self) -> Iterator[Finding]:
         displacement, force = self._rows.newest
@@ -345,23 +374,23 @@ def _unusable(name: str, arrivals: _Arrivals, time: float) -> Iterator[Finding]:
     """Findings on the values and stamps of one channel."""
     counts = arrivals.counts(time)
     received, rejected = counts["received"], counts["rejected"]
-    where = {"topic": arrivals.where}
+    where = arrivals.where
     # Messages of other joints on the same topic are no fault.
     if rejected >= _ENOUGH and not received:
-        yield Kind.UNUSABLE.found(name, count=rejected, reason=arrivals.reason, **where)
+        yield Kind.UNUSABLE.found(name, count=rejected, reason=arrivals.reason, topic=where)
     if received < _ENOUGH:
         return
     bad = counts["not_finite"]
     if bad > _PART * received:
         yield Kind.NOT_FINITE.found(name, count=bad)
     if counts["unstamped"] > _PART * received:
-        yield Kind.NO_STAMPS.found(name, **where)
+        yield Kind.NO_STAMPS.found(name, topic=where)
     repeated = counts["repeated"]
-    if repeated > _FROZEN * received:
-        yield Kind.FROZEN_STAMPS.found(name, **where)
+    if counts["same"] > _FROZEN * received:
+        yield Kind.FROZEN_STAMPS.found(name, topic=where)
     elif repeated > _GROUPED * received:
         size = received / max(received - repeated, 1)
-        yield Kind.GROUPED_STAMPS.found(name, value=size, size=size, **where)
+        yield Kind.GROUPED_STAMPS.found(name, value=size, size=size, topic=where)
 
 
 def several_publishers(topic: str, names: Iterable[str]) -> Finding:

@@ -27,7 +27,7 @@ from mr_damper_ros.nodes.messages import (
     report_of,
 )
 from mr_damper_ros.nodes.node_parameters import NodeParameters
-from mr_damper_ros.nodes.rclpy_internals import has_simulated_time
+from mr_damper_ros.nodes.rclpy_internals import NodeClock
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.tracking.predictor import ForcePredictor
@@ -73,7 +73,7 @@ class BlockNode(Node, Generic[Options, Answer]):
     def __init__(self, name: str, table: type[Options]) -> None:
         super().__init__(name)
         self._options: Options = NodeParameters(self, table).values
-        self._steady_behind_ns = time.time_ns() - time.monotonic_ns()
+        self._clock = NodeClock(self)
         # The remaining work on the newest block, and when it is due.
         self._work: Callable[[], None] | None = None
         self._due = math.inf
@@ -112,6 +112,7 @@ class BlockNode(Node, Generic[Options, Answer]):
                 **concerns,
                 "latency": self._latency_finding,
             },
+            self._inputs.stream_findings,
         )
 
     def _take_set(self, message: DamperParameters) -> None:
@@ -172,9 +173,7 @@ class BlockNode(Node, Generic[Options, Answer]):
         Simulated time gives no age: it runs at the rate of a replay, and its messages have no
         common order with the samples. Every block is then answered.
         """
-        if has_simulated_time(self):
-            return None
-        return time.monotonic_ns() + self._steady_behind_ns
+        return None if self._clock.is_simulated else self._clock.now_ns()
 
     def _take_block(self, block: SampleBlock) -> None:
         began = time.perf_counter()

@@ -22,9 +22,23 @@ def given_parameters(node: Node) -> dict[str, Any]:
     return {name: parameter.value for name, parameter in node._parameter_overrides.items()}
 
 
-def has_simulated_time(node: Node) -> bool:
-    """Whether the node's time comes from the clock topic."""
-    return bool(node._time_source.ros_time_is_active)
+class NodeClock:
+    """The time of a node: simulated time, or a clock that is never set after the start."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._ahead_ns = time.time_ns() - time.monotonic_ns()
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the node's time comes from the clock topic."""
+        return bool(self._node._time_source.ros_time_is_active)
+
+    def now_ns(self) -> int:
+        """The present time [ns]."""
+        if self.is_simulated:
+            return int(self._node.get_clock().now().nanoseconds)
+        return time.monotonic_ns() + self._ahead_ns
 
 
 def now_ns(node: Node) -> int:
@@ -32,7 +46,7 @@ def now_ns(node: Node) -> int:
 
     Without simulated time it is the system time, which rclpy takes ten times as long to give.
     """
-    if has_simulated_time(node):
+    if node._time_source.ros_time_is_active:
         return int(node.get_clock().now().nanoseconds)
     return time.time_ns()
 

@@ -12,19 +12,28 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from typing import Any
 
 from rclpy.node import Node
 
+from mr_damper_ros.data_check.findings import Finding, Kind
+from mr_damper_ros.data_check.stream_watch import StreamWatch
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.inputs import MessageError, Stream
 from mr_damper_ros.nodes.messages import to_nanoseconds
+from mr_damper_ros.nodes.rclpy_internals import NodeClock
 from mr_damper_ros.rig.blocks import BlockMaker, Measured
 from mr_damper_ros.rig.sources.source import Source, SourceState, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock, fits_a_stamp
 from mr_damper_ros.signals.stamped_channel import ChannelJoin, StampedChannel
+
+_CHANNELS = ("displacement", "force")
+
+_SMALLEST_DRIFT = 5e-6
+"""Smallest drift of two clocks that is reported."""
 
 
 @dataclass(frozen=True)
@@ -94,12 +103,21 @@ class TopicSource(Source):
         self._node = node
         self._inputs: list[_Input] = []
         self._join = self._new_join()
+        given = settings
+        topics = (given.displacement_topic, given.force_topic or given.displacement_topic)
+        names = dict(zip(_CHANNELS, map(node.resolve_topic_name, topics), strict=True))
+        self.watch = self._watch = StreamWatch(
+            names,
+            own_clocks=given.own_clocks,
+            block=stream.block_size,
+            publishers=partial(quality.publishing_nodes, node),
+        )
 
     def open(self) -> list[str]:
         """Subscribe; raises ValueError if a type or a field is invalid."""
         try:
-            for name in ("displacement", "force"):
-                self._inputs.append(_Input(self._node, name, self.settings))
+            for name in _CHANNELS:
+                self._inputs.append(_Input(self._node, name, self.settings, self._watch))
         except ValueError:
             self.close()
             raise
@@ -126,7 +144,7 @@ class TopicSource(Source):
             yield from made
 
     def state(self) -> SourceState:
-        """The counts of received, lost and unusable messages, and the fault."""
+        """The counts of received, lost and unusable messages, and what is wrong."""
         join = self._join
         values: dict[str, object] = {
             f"{name} {what}": count
@@ -134,7 +152,7 @@ class TopicSource(Source):
             for what, count in channel.figures().items()
         }
         values["force without displacement"] = join.without_partner
-        return SourceState(self._fault(), values)
+        return SourceState(self._finding(), values)
 
     def close(self) -> None:
         """End the subscriptions."""
@@ -151,28 +169,31 @@ class TopicSource(Source):
             sampled_at_stamps=given.stamps == "sampling",
         )
 
-    def _fault(self) -> str:
-        for item in self._inputs:
-            fault = item.fault()
-            if fault:
-                return fault
-        join = self._join
-        apart = join.follower.clock.rate - join.leader.clock.rate
-        if not self.settings.own_clocks and abs(apart) > 5e-6:
-            return (
-                f"the clocks of the two topics drift apart by {1e6 * abs(apart):.0f} ppm: "
-                "set topics.own_clocks"
-            )
-        return ""
+    def _finding(self) -> Finding | None:
+        absences = [found for item in self._inputs if (found := item.absence()) is not None]
+        of_network = (each for each in absences if each.kind is not Kind.STOPPED)
+        of_stream = self._watch.findings(time.monotonic())
+        return next(iter((*of_network, *of_stream, *absences, *self._drift())), None)
+
+    def _drift(self) -> Iterator[Finding]:
+        """Whether the clocks of the two topics drift apart by more than delays explain."""
+        clocks = self._join.follower.clock, self._join.leader.clock
+        drift = clocks[0].rate - clocks[1].rate
+        doubt = clocks[0].rate_bound + clocks[1].rate_bound
+        if not self.settings.own_clocks and abs(drift) > max(doubt, _SMALLEST_DRIFT):
+            other, channel = _CHANNELS
+            size = {"drift": 1e6 * abs(drift), "doubt": 1e6 * doubt}
+            yield Kind.CLOCKS_DRIFT.found(channel, value=drift, error=doubt, other=other, **size)
 
 
 class _Input:
     """One topic: the stamp, arrival time and value of each received message."""
 
-    def __init__(self, node: Node, name: str, settings: TopicOptions) -> None:
+    def __init__(self, node: Node, name: str, settings: TopicOptions, watch: StreamWatch) -> None:
         given = vars(settings)
         self.name, self.field = name, given[f"{name}_field"]
-        self._node = node
+        self._node, self._watch = node, watch
+        self._clock = NodeClock(node)
         self._scale = given[f"{name}_scale"]
         self._value = _reader(self.field, name)
         self.arrived: deque[tuple[int, int, float]] = deque()
@@ -187,7 +208,7 @@ class _Input:
             f"it must contain the {name}",
         )
         self.topic = self._stream.topic = self._stream.subscription.topic_name
-        self.fault = self._stream.take_fault
+        self.absence = self._stream.absence
 
     def close(self) -> None:
         """End the subscription."""
@@ -199,15 +220,22 @@ class _Input:
             take(*self.arrived.popleft())
 
     def _read(self, message: Any) -> tuple[int, int, float]:
-        stamp_ns = to_nanoseconds(message.header.stamp)
+        stamp_ns, now = to_nanoseconds(message.header.stamp), time.monotonic()
         try:
             value = self._scale * self._value(message)
         except (AttributeError, IndexError, ValueError, TypeError) as error:
-            reason = f"they have no field {self.field} for the {self.name}"
+            reason = (
+                f"they have no {self.field} for the {self.name}: correct topics.{self.name}_field, "
+                "or let the driver fill this field"
+            )
+            self._watch.reject(self.name, now, reason)
             raise MessageError(reason) from error
-        if not fits_a_stamp(stamp_ns) or stamp_ns == 0:
+        if not fits_a_stamp(stamp_ns):
+            stamp_ns = 0
+        self._watch.arrive(self.name, now, stamp_ns, value)
+        if stamp_ns == 0:
             raise MessageError("they have no stamp")
-        return stamp_ns, self._node.get_clock().now().nanoseconds, value
+        return stamp_ns, self._clock.now_ns(), value
 
 
 def _reader(field: str, name: str) -> Callable[[Any], float]:

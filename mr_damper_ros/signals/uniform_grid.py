@@ -337,9 +337,9 @@ class UniformGrid:
         self.lost_samples += lost
         if restarts or self._clock is None:
             leap_ns = 0
-            if kind in ("gap", "jump_back") and self.last is not None and self._clock is not None:
-                if block.sequence >= _end(self.last):
-                    leap_ns = block.start_ns - self._clock.at(block.sequence)
+            counts_on = self.last is not None and block.sequence >= _end(self.last)
+            if kind in ("gap", "jump_back") and counts_on and self._clock is not None:
+                leap_ns = block.start_ns - self._clock.at(block.sequence)
             self._clock = StampClock(block.sequence, block.start_ns, block.period)
             self._sampling = NonUniformSampling(self._sampling.found)
             self._past.clear()

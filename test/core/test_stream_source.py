@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from streamed import START, Streamed, source_of
 from waiting import until
 
+from mr_damper_ros.data_check.findings import Kind
 from mr_damper_ros.rig.blocks import BlockMaker, Measured
 from mr_damper_ros.rig.sources.device_source import (
     DeviceReader,
@@ -418,7 +419,7 @@ def test_a_wrong_unit_of_the_time_is_told() -> None:
     rows = StampedRows(1e-3)
     found = stamped(rows, [1.0 * k for k in range(40)])
     assert found == []
-    assert "is the unit of the time right?" in rows.fault()
+    assert rows.finding(math.nan, math.nan).kind is Kind.WRONG_TIME_UNIT
 
 
 @given(st.sets(st.integers(0, 60), min_size=1), st.integers(1, 12))
