@@ -72,7 +72,8 @@ class Kind(Enum):
     UNUSABLE = REFUSE, "{count} messages on {topic} cannot be used: {reason}"
     NOT_FINITE = (
         REFUSE,
-        "{count} values of the {channel} are not finite: does the driver measure the {channel}?",
+        "{count} values of the {channel} are not finite: let the driver measure the {channel}, or "
+        "name another field or topic",
     )
     RATE = (
         WARN,

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -18,22 +17,15 @@ from typing import Any
 
 from rclpy.node import Node
 
-from mr_damper_ros.data_check.findings import Finding, Kind
-from mr_damper_ros.data_check.stream_watch import StreamWatch
+from mr_damper_ros.data_check.findings import Kind
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.inputs import MessageError, Stream
+from mr_damper_ros.nodes.inputs import Stream
 from mr_damper_ros.nodes.messages import to_nanoseconds
 from mr_damper_ros.nodes.rclpy_internals import NodeClock
-from mr_damper_ros.rig.blocks import BlockMaker, Measured
+from mr_damper_ros.rig.joined_topics import CHANNELS, JoinedTopics
 from mr_damper_ros.rig.sources.source import Source, SourceState, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
-from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock, fits_a_stamp
-from mr_damper_ros.signals.stamped_channel import ChannelJoin, StampedChannel
-
-_CHANNELS = ("displacement", "force")
-
-_SMALLEST_DRIFT = 5e-6
-"""Smallest drift of two clocks that is reported."""
+from mr_damper_ros.signals.blocks import RigBlock
 
 
 @dataclass(frozen=True)
@@ -102,22 +94,13 @@ class TopicSource(Source):
         super().__init__(settings, stream)
         self._node = node
         self._inputs: list[_Input] = []
-        self._join = self._new_join()
-        given = settings
-        topics = (given.displacement_topic, given.force_topic or given.displacement_topic)
-        names = dict(zip(_CHANNELS, map(node.resolve_topic_name, topics), strict=True))
-        self.watch = self._watch = StreamWatch(
-            names,
-            own_clocks=given.own_clocks,
-            block=stream.block_size,
-            publishers=partial(quality.publishing_nodes, node),
-        )
+        self._joined = self._new_join()
 
     def open(self) -> list[str]:
         """Subscribe; raises ValueError if a type or a field is invalid."""
         try:
-            for name in _CHANNELS:
-                self._inputs.append(_Input(self._node, name, self.settings, self._watch))
+            for name in CHANNELS:
+                self._inputs.append(_Input(self._node, name, self.settings, self._current_join))
         except ValueError:
             self.close()
             raise
@@ -125,34 +108,19 @@ class TopicSource(Source):
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
         """Yield the samples as they arrive, with the stamps of the force."""
-        displacement, force = self._inputs
-        join = self._join = self._new_join()
-        for item in self._inputs:
-            item.arrived.clear()
-        maker = BlockMaker(self.stream.block_size)
+        joined = self._joined = self._new_join()
         while True:
-            force.hand_on(join.lead)
-            displacement.hand_on(join.follow)
-            for run in join.take():
-                period = join.leader.period
-                for k, pair in enumerate(zip(run.following, run.leading, strict=True)):
-                    stamp_ns = run.start_ns + round(k * period * NANOSECONDS)
-                    maker.add(run.index + k, stamp_ns, period, Measured(*pair))
-            made = maker.take()
+            made = joined.take()
             if not made[0].sample_count:
                 time.sleep(0.005)
             yield from made
 
     def state(self) -> SourceState:
         """The counts of received, lost and unusable messages, and what is wrong."""
-        join = self._join
-        values: dict[str, object] = {
-            f"{name} {what}": count
-            for name, channel in (("force", join.leader), ("displacement", join.follower))
-            for what, count in channel.figures().items()
-        }
-        values["force without displacement"] = join.without_partner
-        return SourceState(self._finding(), values)
+        absences = [found for item in self._inputs if (found := item.absence()) is not None]
+        of_network = (each for each in absences if each.kind is not Kind.STOPPED)
+        causes = [*of_network, *self._joined.findings(time.monotonic()), *absences]
+        return SourceState(causes[0] if causes else None, self._joined.figures())
 
     def close(self) -> None:
         """End the subscriptions."""
@@ -160,49 +128,42 @@ class TopicSource(Source):
             item.close()
         self._inputs = []
 
-    def _new_join(self) -> ChannelJoin:
-        given = self.settings
-        return ChannelJoin(
-            StampedChannel(given.hold_back),
-            StampedChannel(given.hold_back),
+    def _current_join(self) -> JoinedTopics:
+        return self._joined
+
+    def _new_join(self) -> JoinedTopics:
+        given, node = self.settings, self._node
+        topics = (given.displacement_topic, given.force_topic or given.displacement_topic)
+        joined = JoinedTopics(
+            dict(zip(CHANNELS, map(node.resolve_topic_name, topics), strict=True)),
+            self.stream.block_size,
+            partial(quality.publishing_nodes, node),
+            hold_back=given.hold_back,
             own_clocks=given.own_clocks,
             sampled_at_stamps=given.stamps == "sampling",
         )
-
-    def _finding(self) -> Finding | None:
-        absences = [found for item in self._inputs if (found := item.absence()) is not None]
-        of_network = (each for each in absences if each.kind is not Kind.STOPPED)
-        of_stream = self._watch.findings(time.monotonic())
-        return next(iter((*of_network, *of_stream, *absences, *self._drift())), None)
-
-    def _drift(self) -> Iterator[Finding]:
-        """Whether the clocks of the two topics drift apart by more than delays explain."""
-        clocks = self._join.follower.clock, self._join.leader.clock
-        drift = clocks[0].rate - clocks[1].rate
-        doubt = clocks[0].rate_bound + clocks[1].rate_bound
-        if not self.settings.own_clocks and abs(drift) > max(doubt, _SMALLEST_DRIFT):
-            other, channel = _CHANNELS
-            size = {"drift": 1e6 * abs(drift), "doubt": 1e6 * doubt}
-            yield Kind.CLOCKS_DRIFT.found(channel, value=drift, error=doubt, other=other, **size)
+        self.watch = joined.watch
+        return joined
 
 
 class _Input:
-    """One topic: the stamp, arrival time and value of each received message."""
+    """One topic: reads the value of each received message, and passes it on."""
 
-    def __init__(self, node: Node, name: str, settings: TopicOptions, watch: StreamWatch) -> None:
+    def __init__(
+        self, node: Node, name: str, settings: TopicOptions, joined: Callable[[], JoinedTopics]
+    ) -> None:
         given = vars(settings)
         self.name, self.field = name, given[f"{name}_field"]
-        self._node, self._watch = node, watch
+        self._node, self._joined = node, joined
         self._clock = NodeClock(node)
         self._scale = given[f"{name}_scale"]
         self._value = _reader(self.field, name)
-        self.arrived: deque[tuple[int, int, float]] = deque()
-        self._stream = Stream(
+        self._stream: Stream[Any] = Stream(
             node,
             _message_type(given[f"{name}_type"], name),
             given[f"{name}_topic"] or settings.displacement_topic,
-            self._read,
-            self.arrived.append,
+            lambda message: message,
+            self._take,
             # A busy computer may fall behind by more than a queue of fixed length.
             quality.lossless(),
             f"it must contain the {name}",
@@ -214,28 +175,19 @@ class _Input:
         """End the subscription."""
         self._node.destroy_subscription(self._stream.subscription)
 
-    def hand_on(self, take: Callable[[int, int, float], None]) -> None:
-        """Pass on the received values."""
-        while self.arrived:
-            take(*self.arrived.popleft())
-
-    def _read(self, message: Any) -> tuple[int, int, float]:
+    def _take(self, message: Any) -> None:
+        """Pass on the value of a message, or the reason why there is none."""
         stamp_ns, now = to_nanoseconds(message.header.stamp), time.monotonic()
         try:
             value = self._scale * self._value(message)
-        except (AttributeError, IndexError, ValueError, TypeError) as error:
+        except (AttributeError, IndexError, ValueError, TypeError):
             reason = (
                 f"they have no {self.field} for the {self.name}: correct topics.{self.name}_field, "
                 "or let the driver fill this field"
             )
-            self._watch.reject(self.name, now, reason)
-            raise MessageError(reason) from error
-        if not fits_a_stamp(stamp_ns):
-            stamp_ns = 0
-        self._watch.arrive(self.name, now, stamp_ns, value)
-        if stamp_ns == 0:
-            raise MessageError("they have no stamp")
-        return stamp_ns, self._clock.now_ns(), value
+            self._joined().watch.reject(self.name, now, reason)
+            return
+        self._joined().arrive(self.name, now, self._clock.now_ns(), stamp_ns, value)
 
 
 def _reader(field: str, name: str) -> Callable[[Any], float]:
