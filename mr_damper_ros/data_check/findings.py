@@ -146,8 +146,8 @@ class Kind(Enum):
     )
     GROUPED_STAMPS = (
         WARN,
-        "{size:.2g} messages in a row on {topic} have the same stamp, of which only one can be "
-        "used: stamp each message with the time of its own values",
+        "{size:.2g} messages in a row on {topic} have the same stamp, so their times are unknown: "
+        "stamp each message with the time of its own values",
     )
     CLOCKS_APART = (
         WARN,

@@ -31,8 +31,9 @@ _ENOUGH = 5
 _PART = 0.05
 """Largest part of the values that may be unusable without a finding."""
 
-_FROZEN, _GROUPED = 0.95, 0.3
-"""Smallest part of the values that repeat the last stamp, for frozen stamps and for groups."""
+_FROZEN, _GROUPED, _ADVANCES = 0.8, 0.4, 0.3
+"""Time [s] after which stamps that do not change are frozen; smallest part of the values that
+repeat the last stamp in groups, in a second and in the last of these times [s]."""
 
 _SILENT, _ABSENT = 1.2, 1.7
 """Time [s] after which a channel is missing while another arrives: one that has arrived before, and
@@ -46,15 +47,18 @@ _BEGINS = 1.5
 """Time [s] of arrivals and of their stamps, after which their values must leave: the sample period
 is estimated from the first second."""
 
-_SHARE = 0.5
+_SHARE = 0.7
 """Smallest part of the arriving values that must leave."""
 
 _BLOCKS = 2.5
 """The values that leave are counted over at least so many blocks."""
 
-_PAUSE = 0.5
+_PAUSE, _LEAP = 0.5, (0.1, 0.2)
 """A stream that is silent for this time [s], or for ten intervals if that is longer, begins anew.
-So it does if a stamp leaps by more than this time."""
+So it does after a leap of the stamps by more than the two times [s], back and ahead."""
+
+_LEAP_SEEN = 0.3
+"""Time [s] after a leap in which other channels may leap, too."""
 
 _MIXED_TIME, _SWINGS, _ALTERNATING = 2.0, 3, 0.4
 """Two publishers are mixed if in this time [s] so many values differ from those before and after
@@ -101,6 +105,8 @@ class _Arrivals:
         self.stamp_ns = 0
         self._slots: deque[_Slot] = deque()
         self._values = (math.nan, math.nan)
+        # Time [s] of the last change of the stamp, and number of values since.
+        self._changed, self._since_change = -math.inf, 0
         # Time [s], stamp [ns] and number of arrivals since the stream began, or began anew.
         self._begin, self._begin_ns, self._count = math.inf, 0, 0
         # Silence [s] before the stream began anew.
@@ -139,6 +145,10 @@ class _Arrivals:
     def add(self, time: float, stamp_ns: int | None, value: float, count: int) -> None:
         """Add values that arrived together; ``stamp_ns`` is None if they are not stamped."""
         slot = self.note("received", time, count)
+        was_frozen = self.is_frozen(time)
+        if stamp_ns != self.stamp_ns or stamp_ns == 0:
+            self._changed, self._since_change = time, 0
+        self._since_change += 1
         if not math.isfinite(value):
             slot.counts["not_finite"] += count
         if time - self.last > max(_PAUSE, 10.0 * self.interval):
@@ -147,6 +157,8 @@ class _Arrivals:
             slot.counts["unstamped"] += 1
         elif stamp_ns is not None:
             self._compare(slot, time, stamp_ns, value)
+            if was_frozen and stamp_ns != self.stamp_ns:
+                slot.counts["leaps"] = 0  # the stamps only catch up
         self._count += 1
         self.last = time
         if stamp_ns is None:
@@ -165,6 +177,7 @@ class _Arrivals:
         since_ns = stamp_ns - self.stamp_ns
         before, last = self._values
         usual_ns = self.stamp_interval_ns
+        slot.counts["advanced"] += since_ns != 0
         if since_ns == 0:
             slot.counts["same"] += 1
             # The same message sent again is no fault.
@@ -176,10 +189,26 @@ class _Arrivals:
         self._values = (last, value)
         step = since_ns / NANOSECONDS
         passed = time - self.last
-        if step < -_PAUSE or step - passed > _PAUSE + 10.0 * usual_ns / NANOSECONDS:
+        back, ahead = _LEAP
+        if step < -back or step - passed > ahead + 10.0 * usual_ns / NANOSECONDS:
             slot.counts["leaps"] += 1
             self.leap = step - passed
             self._begin_anew(time, stamp_ns)
+
+    def is_silent(self, time: float) -> bool:
+        """Whether no value has arrived for some intervals."""
+        return time - self.last > max(_SLOT, 3.0 * self.interval)
+
+    def is_frozen(self, time: float) -> bool:
+        """Whether values arrive, but their stamp has not changed for some time."""
+        present = time - self.last < max(_PAUSE, 3.0 * self.interval)
+        return present and self._since_change >= _ENOUGH and time - self._changed > _FROZEN
+
+    def is_grouped(self, time: float) -> bool:
+        """Whether many values have the stamp of the value before, but the stamps advance."""
+        counts, newest = self.counts(time), self.counts(time, _ADVANCES)
+        many = all(each["repeated"] > _GROUPED * each["received"] for each in (counts, newest))
+        return many and counts["received"] - counts["same"] >= _ENOUGH and newest["advanced"] > 0
 
     def counts(self, time: float, window: float = _WINDOW) -> Counter[str]:
         """The counts of the last ``window`` [s]."""
@@ -191,8 +220,8 @@ class _Arrivals:
         return found
 
     def age(self, time: float) -> float:
-        """Smallest difference [s] between arrival and stamp in the last half second, else NaN."""
-        first = math.floor((time - 0.5 * _WINDOW) / _SLOT)
+        """Smallest difference [s] between arrival and stamp in the last two slots, else NaN."""
+        first = math.floor(time / _SLOT) - 2
         ages = [s.age_ns for s in self._slots if s.number >= first and s.age_ns is not None]
         return min(ages) / NANOSECONDS if ages else math.nan
 
@@ -288,7 +317,8 @@ class StreamWatch:
         yield from self._missing(time)
         yield from self._other_clock(time, _OTHER_CLOCK)
         for name, arrivals in self._arrivals.items():
-            if self._block and arrivals.counts(time, 2.0 * _WINDOW)["leaps"]:
+            leaps = arrivals.counts(time, 2.0 * _WINDOW)["leaps"]
+            if self._block and leaps > arrivals.counts(time, _LEAP_SEEN)["leaps"]:
                 yield Kind.CLOCK_SET.found(name, topic=arrivals.where, leap=arrivals.leap)
         if self._holds_up(time):
             yield from self._other_clock(time, _APART)
@@ -344,15 +374,21 @@ class StreamWatch:
         window = max(_WINDOW, _BLOCKS * self._block * arrivals.interval)
         if window > _MEMORY or not arrivals.flows(time, _BEGINS + window - _WINDOW):
             return False
-        arrived = arrivals.counts(time, window)["received"]
-        left = self._left.counts(time, window)["received"]
+        if any(each.is_silent(time) for each in self._arrivals.values()):
+            return False  # the cause will be known soon
+        arrived, left = self._arrived_and_left(arrivals, time, window)
         return arrived >= _ENOUGH and left < _SHARE * arrived
+
+    def _arrived_and_left(self, arrivals: _Arrivals, time: float, window: float) -> tuple[int, int]:
+        """Number of different values that arrived in the last ``window`` [s], and that left."""
+        counts = arrivals.counts(time, window)
+        arrived = counts["received"] - counts["same"] + counts["repeated"]
+        return arrived, self._left.counts(time, window)["received"]
 
     def _unpublished(self, time: float) -> Finding:
         name, arrivals = self._leader
         window = max(_WINDOW, _BLOCKS * self._block * arrivals.interval)
-        arrived = arrivals.counts(time, window)["received"]
-        left = self._left.counts(time, window)["received"]
+        arrived, left = self._arrived_and_left(arrivals, time, window)
         share = left / arrived
         return Kind.UNPUBLISHED.found(name, value=share, share=share, topic=arrivals.where)
 
@@ -385,11 +421,10 @@ def _unusable(name: str, arrivals: _Arrivals, time: float) -> Iterator[Finding]:
         yield Kind.NOT_FINITE.found(name, count=bad)
     if counts["unstamped"] > _PART * received:
         yield Kind.NO_STAMPS.found(name, topic=where)
-    repeated = counts["repeated"]
-    if counts["same"] > _FROZEN * received:
+    if arrivals.is_frozen(time):
         yield Kind.FROZEN_STAMPS.found(name, topic=where)
-    elif repeated > _GROUPED * received:
-        size = received / max(received - repeated, 1)
+    elif arrivals.is_grouped(time):
+        size = received / max(received - counts["same"], 1)
         yield Kind.GROUPED_STAMPS.found(name, value=size, size=size, topic=where)
 
 

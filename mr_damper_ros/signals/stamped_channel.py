@@ -116,6 +116,9 @@ class StampedChannel(Generic[V]):
             return []
         self._late_in_a_row = 0
         place = bisect_left(held, stamp_ns, key=lambda item: item[0])
+        if stamp_ns == self._released and not held and self._is_other(value):
+            # The stamps are frozen: the count gives the time.
+            return self._count_on(value)
         if stamp_ns == self._released or (place < len(held) and held[place][0] == stamp_ns):
             counts["repeated"] += 1
             return []
@@ -125,6 +128,18 @@ class StampedChannel(Generic[V]):
             certain += self._number(self._released, arrived_ns, value)
             self._arrival_ns = arrived_ns
         return certain
+
+    def _is_other(self, value: V) -> bool:
+        """Whether a value differs from the last one, whose index is known."""
+        return bool(self._waiting) and value != self._waiting[-1][0].value
+
+    def _count_on(self, value: V) -> list[NumberedSample[V]]:
+        """Number a value whose stamp is that of the last one."""
+        assert self._clock is not None
+        time_ns = self._clock.at(self._next)
+        self._waiting.append((NumberedSample(self._next, time_ns, time_ns, value), 0.0))
+        self._next += 1
+        return self._certain()
 
     def _pause_ns(self, stamped_ns: int, waited_ns: int) -> int:
         """Length of a pause [ns] by the stamps and by the arrivals: the shorter one counts."""
@@ -199,6 +214,12 @@ class StampedChannel(Generic[V]):
         clock.learn(self._next, stamp_ns)
         waiting.append((NumberedSample(self._next, clock.at(self._next), stamp_ns, value), late))
         self._next += 1
+        return self._certain()
+
+    def _certain(self) -> list[NumberedSample[V]]:
+        """The waiting samples whose index is now certain."""
+        clock, waiting = self._clock, self._waiting
+        assert clock is not None
         # After an undetected loss all stamps are late, so a stamp that is not late excludes a loss.
         if len(waiting) <= _WAITING or all(late >= 0.5 - _MARGIN for _, late in waiting):
             return []
