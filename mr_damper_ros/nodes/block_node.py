@@ -73,7 +73,7 @@ class BlockNode(Node, Generic[Options, Answer]):
     def __init__(self, name: str, table: type[Options]) -> None:
         super().__init__(name)
         self._options: Options = NodeParameters(self, table).values
-        self._clock = NodeClock(self)
+        self._age_clock = NodeClock(self)
         # The remaining work on the newest block, and when it is due.
         self._work: Callable[[], None] | None = None
         self._due = math.inf
@@ -173,7 +173,7 @@ class BlockNode(Node, Generic[Options, Answer]):
         Simulated time gives no age: it runs at the rate of a replay, and its messages have no
         common order with the samples. Every block is then answered.
         """
-        return None if self._clock.is_simulated else self._clock.now_ns()
+        return None if self._age_clock.is_simulated else self._age_clock.now_ns()
 
     def _take_block(self, block: SampleBlock) -> None:
         began = time.perf_counter()

@@ -238,7 +238,7 @@ class BridgeNode(ManagedNode):
         supply = Meter(1.0 / values.current_rate, step=0.005)
         thermometer = Meter(1.0)
         decimator, self._mirrored = Decimator(values.mirror_rate), None
-        watch = None if self._source is None else self._source.watch
+        source = self._source
         block = None
         for block in blocks:
             # Current and temperature are published first, so that subscribers know them when the
@@ -256,8 +256,8 @@ class BridgeNode(ManagedNode):
                     messages.SUSPENSION_TOPIC, messages.suspension_message(block.suspension, stamp)
                 )
             sender.publish("mts/samples", messages.samples_message(block, frame_id))
-            if watch is not None:
-                watch.leave(time.monotonic(), block.period, block.displacement, block.force)
+            if source is not None and source.watch is not None:
+                source.watch.leave(time.monotonic(), block.period, block.displacement, block.force)
             if _MIRROR in sender.publishers:
                 for k, stamp_ns in decimator.due(block.start_ns, block.period, block.sample_count):
                     self._publish_mirror(sender, block, k, stamp_ns)
