@@ -14,7 +14,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
-from mr_damper_msgs.msg import MtsSamples, PredictedForce
+from mr_damper_msgs.msg import MtsSamples, PredictedForce, SupplyCurrent
 from sensor_msgs.msg import JointState
 
 from benchmarks.figure import Measured
@@ -312,7 +312,169 @@ def replay_figures(passes: int = 3) -> Measured:
     }
 
 
+Changed = Callable[[int, JointState, WrenchStamped], tuple[Any, Any]]
+
+
+def _unchanged(k: int, joints: JointState, wrench: WrenchStamped) -> tuple[Any, Any]:
+    return joints, wrench
+
+
+def _pausing(k: int, joints: JointState, wrench: WrenchStamped) -> tuple[Any, Any]:
+    return (None, None) if k % 4000 < 1000 else (joints, wrench)
+
+
+def _losing(k: int, joints: JointState, wrench: WrenchStamped) -> tuple[Any, Any]:
+    return (None if k % 97 == 0 else joints), (None if k % 101 == 0 else wrench)
+
+
+def _jittering(k: int, joints: JointState, wrench: WrenchStamped) -> tuple[Any, Any]:
+    late_ns = round(0.4 * math.sin(12.9898 * k) / RATE * NANOSECONDS)
+    return _stamped(joints, wrench, to_nanoseconds(joints.header.stamp) + late_ns)
+
+
+def _at_rest(k: int, joints: JointState, wrench: WrenchStamped) -> tuple[Any, Any]:
+    joints.position = [0.001]
+    wrench.wrench.force.x = 2.0 + 0.1 * math.sin(78.233 * k)
+    return joints, wrench
+
+
+HEALTHY: dict[str, tuple[dict[str, object], Changed, float]] = {
+    "two topics": (_WRENCH, _unchanged, RATE),
+    "one topic": (_EFFORT, _unchanged, RATE),
+    "50 Hz": (_WRENCH, _unchanged, 50.0),
+    "pauses": (_WRENCH, _pausing, RATE),
+    "losses": (_WRENCH, _losing, RATE),
+    "jitter": (_WRENCH, _jittering, RATE),
+    "at rest": (_WRENCH, _at_rest, RATE),
+}
+"""Healthy topics: the options of the bridge, the change of the messages, and the rate [Hz]."""
+
+_CONCERNS = ("bridge: source", "identifier: input", "model: input")
+
+
+def _warnings_on_topics(name: str, seconds: float) -> list[str]:
+    """What bridge, identifier and model warn of in healthy topics."""
+    options, change, rate = HEALTHY[name]
+    with Nodes() as nodes:
+        said = [_Said(nodes, concern) for concern in _CONCERNS]
+        press = _Press(nodes)
+        for node in ("identifier", "model"):
+            nodes.start(node)
+        nodes.start("bridge", **options)
+        for _ in press.run(seconds, change, rate):
+            pass
+        return _warned(name, said)
+
+
+def _warnings_of_sender(seconds: float) -> list[str]:
+    with _sender(_row) as address, Nodes() as nodes:
+        said = [_Said(nodes, concern) for concern in _CONCERNS]
+        for node in ("identifier", "model"):
+            nodes.start(node)
+        columns = "time:us,displacement:mm,force:N"
+        nodes.start("bridge", source="stream", stream__address=address, stream__columns=columns)
+        nodes.observer.spin_for(seconds)
+        return _warned("lines by TCP", said)
+
+
+def _warnings_of_replay(rate: float, seconds: float) -> list[str]:
+    with Nodes() as nodes:
+        said = [_Said(nodes, concern) for concern in _CONCERNS[1:]]
+        for node in ("identifier", "model"):
+            nodes.start(node, use_sim_time=True)
+        bag = str(_BAG)
+        nodes.start("replay", bag=bag, rate=rate, wait_for_subscribers=2)
+        nodes.observer.spin_for(min(seconds, 7.0 / rate))
+        return _warned(f"replay at rate {rate:g}", said)
+
+
+def _warned(name: str, said: list[_Said]) -> list[str]:
+    """The findings on the stream at the level of a warning, each once."""
+    found = {
+        message
+        for each in said
+        for _, level, finding, message in each.states
+        if level == 1 and finding and finding != "no_publisher"
+    }
+    return [f"{name}: {message}" for message in sorted(found)]
+
+
+def healthy_figures(seconds: float = 120.0) -> Measured:
+    """Ten healthy streams of so many seconds each, and what is warned of."""
+    warned = [text for name in HEALTHY for text in _warnings_on_topics(name, seconds)]
+    warned += _warnings_of_sender(seconds)
+    warned += [text for rate in (0.2, 1.0) for text in _warnings_of_replay(rate, seconds)]
+    return {"streams_false_findings": (len(warned), "; ".join(warned))}
+
+
+def soak_figures(minutes: float = 30.0) -> Measured:
+    """One healthy stream on two topics for so many minutes."""
+    warned = _warnings_on_topics("two topics", 60.0 * minutes)
+    return {"streams_soak_findings": (len(warned), "; ".join(warned))}
+
+
+LEAPS: dict[str, Callable[[int], int]] = {
+    "one second ahead": lambda stamp_ns: stamp_ns + NANOSECONDS,
+    "one second back": lambda stamp_ns: stamp_ns - NANOSECONDS,
+    "an hour ahead": lambda stamp_ns: stamp_ns + 3600 * NANOSECONDS,
+    "an hour back": lambda stamp_ns: stamp_ns - 3600 * NANOSECONDS,
+    "back to zero": lambda stamp_ns: stamp_ns % (1000 * NANOSECONDS) + 1,
+}
+
+
+def _valid_after(name: str, settled: float = 6.0, observed: float = 6.0) -> tuple[float, str]:
+    """Time [s] from a leap of the driver's stamps to the last force that is not valid."""
+    leapt: list[float] = []
+    frozen: list[int] = []
+
+    def change(k: int, joints: JointState, wrench: WrenchStamped) -> tuple[Any, Any]:
+        if k < settled * RATE:
+            return joints, wrench
+        if not leapt:
+            leapt.append(time.monotonic())
+            frozen.append(to_nanoseconds(joints.header.stamp))
+        stamp_ns = to_nanoseconds(joints.header.stamp)
+        if name in LEAPS:
+            return _stamped(joints, wrench, LEAPS[name](stamp_ns))
+        thaws = k >= (settled + 3.0) * RATE
+        return _stamped(joints, wrench, stamp_ns if thaws else frozen[0])
+
+    with Nodes() as nodes:
+        forces = _forces(nodes)
+        press = _Press(nodes)
+        current = nodes.observer.node.create_publisher(
+            SupplyCurrent, "supply/current", quality.stream()
+        )
+        # Only the time of validity is measured, so that any set that claims no accuracy will do.
+        nodes.start("identifier")
+        nodes.start("model")
+        nodes.start("bridge", **_WRENCH)
+        nodes.observer.wait_for_subscribers("press/joint_states")
+        nodes.observer.wait_for_subscribers("supply/current", 2)
+        sent = 0.0
+        for passed in press.run(settled + observed + 3.0, change):
+            if passed - sent >= 0.1:
+                sent = passed
+                stamp_ns = time.time_ns()
+                current.publish(SupplyCurrent(header=header(stamp_ns, "coil"), current=0.5))
+        before = [m for at, m in forces if at < leapt[0] and not any(m.sample_doubts[-1:])]
+        invalid = [(at, m) for at, m in forces if at > leapt[0] and any(m.sample_doubts)]
+        last_at, last = invalid[-1] if invalid else (leapt[0], None)
+        if not before:
+            return math.inf, f"{name}: no force was valid before the leap"
+        reason = "" if last is None else last.reason
+        if last_at > forces[-1][0] - 1.0:
+            return math.inf, f"{name}: {reason}"
+        return last_at - leapt[0], f"{name}: {reason}"
+
+
+def leap_figures() -> Measured:
+    """Leaps of the stamps of two topics, and the time until the model's force is valid again."""
+    results = [_valid_after(name) for name in (*LEAPS, "frozen for 3 s")]
+    return {"streams_leap_s": max(results)}
+
+
 if __name__ == "__main__":
     import sys
 
-    print(globals()[sys.argv[1]]())
+    print(globals()[sys.argv[1]](*map(float, sys.argv[2:])))

@@ -69,7 +69,7 @@ class Kind(Enum):
         REFUSE,
         "no samples arrive on mts/samples: start the bridge or your driver, and publish reliably",
     )
-    UNUSABLE = REFUSE, "{count} messages on {topic} cannot be used: {reason}"
+    UNUSABLE = REFUSE, "{count} messages on {topic} could not be used: {reason}"
     NOT_FINITE = (
         REFUSE,
         "{count} values of the {channel} are not finite: let the driver measure the {channel}, or "
@@ -131,8 +131,8 @@ class Kind(Enum):
     )
     SEVERAL_PUBLISHERS = (
         WARN,
-        "{topic} is published by {names}, whose values are mixed: stop all but one, or remap the "
-        "others to a topic of their own",
+        "{topic} is published by {names}: stop all but one; their values are mixed until the others "
+        "are stopped, or remapped to a topic of their own",
     )
     NO_STAMPS = (
         WARN,

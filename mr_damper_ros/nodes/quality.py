@@ -6,9 +6,13 @@ default, rclpy's profiles are reliable, volatile, and keep the last messages.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Collection
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile
@@ -28,6 +32,21 @@ _OVERRIDABLE: dict[QoSPolicyKind, tuple[str, ...]] = {
     QoSPolicyKind.DEPTH: (),
 }
 """Policies that may be overridden, and their allowed values; a depth is a number."""
+
+
+_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+"""If one of them is set, the user has chosen a profile; Fast DDS of Jazzy reads the first."""
+
+
+def use_profile() -> None:
+    """Let Fast DDS read the profile of this package, unless the user has chosen one.
+
+    Fast DDS reads it when the first context of the process is initialised.
+    """
+    if not any(map(os.environ.get, _PROFILES)):
+        with suppress(PackageNotFoundError):
+            share = get_package_share_directory("mr_damper_ros")
+            os.environ[_PROFILES[0]] = str(Path(share, "config", "fastdds.xml"))
 
 
 def stream(depth: int = STREAM_DEPTH) -> QoSProfile:

@@ -182,8 +182,8 @@ class _Input:
             value = self._scale * self._value(message)
         except (AttributeError, IndexError, ValueError, TypeError):
             reason = (
-                f"they have no {self.field} for the {self.name}: correct topics.{self.name}_field, "
-                "or let the driver fill this field"
+                f"they have no field {self.field} for the {self.name}: correct "
+                f"topics.{self.name}_field, or let the driver fill it"
             )
             self._joined().watch.reject(self.name, now, reason)
             return

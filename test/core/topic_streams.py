@@ -103,7 +103,7 @@ def run(stream: TopicStream, seed: int = 0) -> Outcome:
             look += TICK
         now = start + message.arrival
         if message.value is None:
-            joined.watch.reject(message.channel, now, "they have no effort[0]")
+            joined.watch.reject(message.channel, now, "they have no field effort[0]")
             continue
         arrival_ns = EPOCH_NS + round(message.arrival * NANOSECONDS)
         stamp_ns = 0
