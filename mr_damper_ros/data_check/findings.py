@@ -131,8 +131,8 @@ class Kind(Enum):
     )
     SEVERAL_PUBLISHERS = (
         WARN,
-        "{topic} is published by {names}: stop all but one; their values are mixed until the others "
-        "are stopped, or remapped to a topic of their own",
+        "{topic} is published by {names}: stop all but one; or remap the others to another topic, "
+        "because their values are mixed",
     )
     NO_STAMPS = (
         WARN,

@@ -309,14 +309,15 @@ class Freshness:
     def follow_leap(self, leap_ns: int, stamp_ns: int, now_ns: int | None) -> bool:
         """Whether the clock of the stamps leapt; then the age of the samples continues.
 
-        ``leap_ns`` is the time by which samples up to the stamp are stamped later than their count
-        says. If it is positive and the age is as before, the source has paused.
+        ``leap_ns`` is the time by which the samples up to the stamp, or earlier ones, are stamped
+        later than their count says. If it is positive, the source may have paused instead: then the
+        samples are not too new.
         """
         if self.live and now_ns is not None:
             age_ns = now_ns - stamp_ns + self._ahead_ns
-            rise_ns = age_ns - round(self.age * NANOSECONDS)
-            if abs(age_ns) > self.max_age * NANOSECONDS and abs(rise_ns + leap_ns) < abs(rise_ns):
-                self._ahead_ns -= rise_ns
+            too_old = abs(age_ns) > self.max_age * NANOSECONDS
+            if too_old and abs(age_ns + leap_ns) < abs(age_ns):
+                self._ahead_ns += leap_ns
                 return True
         return leap_ns < 0
 
