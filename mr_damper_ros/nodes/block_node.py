@@ -181,7 +181,8 @@ class BlockNode(Node, Generic[Options, Answer]):
         present_ns = self._now_ns()
         freshness = self._predictor.freshness
         if freshness.are_older(block.end_ns, present_ns, self._late):
-            block, skipped = self._inputs.skip_to_newest(block, self._predictor.predict)
+            predict = partial(self._predictor.predict, now_ns=present_ns)
+            block, skipped = self._inputs.skip_to_newest(block, predict)
             self._skipped += skipped
             present_ns = self._now_ns()
         answer = self._publish_answer(block, present_ns)
