@@ -126,10 +126,12 @@ class _Arrivals:
 
     def flows(self, time: float, since: float, *, stamped: bool = True) -> bool:
         """Whether values have arrived for so long [s], and if ``stamped`` also by their stamps."""
-        present = time - self.last < max(_PAUSE, 3.0 * self.interval)
         by_stamps = (self.stamp_ns - self._begin_ns) / NANOSECONDS
-        stamped = stamped and self.stamp_ns != 0
-        return present and time - self._begin >= since and (by_stamps >= since or not stamped)
+        slow = stamped and self.stamp_ns != 0 and by_stamps < since
+        return self._is_present(time) and time - self._begin >= since and not slow
+
+    def _is_present(self, time: float) -> bool:
+        return time - self.last < max(_PAUSE, 3.0 * self.interval)
 
     def note(self, what: str, time: float, count: int = 1) -> _Slot:
         """Count something by name; returns the slot of the time."""
@@ -201,8 +203,8 @@ class _Arrivals:
 
     def is_frozen(self, time: float) -> bool:
         """Whether values arrive, but their stamp has not changed for some time."""
-        present = time - self.last < max(_PAUSE, 3.0 * self.interval)
-        return present and self._since_change >= _ENOUGH and time - self._changed > _FROZEN
+        same = self._since_change >= _ENOUGH and time - self._changed > _FROZEN
+        return same and self._is_present(time)
 
     def is_grouped(self, time: float) -> bool:
         """Whether many values have the stamp of the value before, but the stamps advance."""
@@ -429,12 +431,16 @@ def _unusable(name: str, arrivals: _Arrivals, time: float) -> Iterator[Finding]:
 
 
 def several_publishers(topic: str, names: Iterable[str]) -> Finding:
-    """The finding on a topic with these publishers, whose values are mixed."""
-    listed = sorted(names)
-    repeated = len(set(listed)) < len(listed)
+    """The finding on a topic with publishers of these names, whose values are mixed."""
+    return Kind.SEVERAL_PUBLISHERS.found(topic=topic, names=listed(names))
+
+
+def listed(names: Iterable[str]) -> str:
+    """The names of publishing nodes in words; two with the same name may be one that was killed."""
+    found = sorted(names)
+    repeated = len(set(found)) < len(found)
     killed = " (a killed node stays listed for up to a minute)" if repeated else ""
-    named = " and ".join(listed) + killed
-    return Kind.SEVERAL_PUBLISHERS.found(topic=topic, count=len(listed), names=named)
+    return " and ".join(found) + killed
 
 
 _AGAIN = 10.0

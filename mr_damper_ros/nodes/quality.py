@@ -7,7 +7,7 @@ default, rclpy's profiles are reliable, volatile, and keep the last messages.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,8 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
+
+from mr_damper_ros.data_check.stream_watch import listed as listed
 
 STREAM_DEPTH = 1000
 """Queue length of a stream: ten seconds at 1 kHz in blocks of ten."""
@@ -104,13 +106,6 @@ def publishing_nodes(node: Node, topic: str) -> list[str]:
         f"{found.node_namespace.rstrip('/')}/{found.node_name}"
         for found in node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
     )
-
-
-def listed(names: Collection[str]) -> str:
-    """The names of publishing nodes in words; two with the same name may be one that was killed."""
-    repeated = len(set(names)) < len(names)
-    killed = " (a killed node stays listed for up to a minute)" if repeated else ""
-    return " and ".join(names) + killed
 
 
 def objection(name: str, value: object) -> str:

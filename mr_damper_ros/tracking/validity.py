@@ -110,8 +110,8 @@ class ValiditySettings(CheckedSettings):
         0.5,
         "Age of samples [s], by the clock of this computer, after which their force is "
         "invalid: the computer is overloaded, or the clocks differ. It is checked only if the "
-        "stamps are within a minute of the clock, so not for a played recording. 0: no limit, "
-        "for example to replay a very recent recording at another rate.",
+        "stamps are within a minute of the clock, and not in simulated time, so not for a played "
+        "recording. 0: no limit, for example to replay a very recent recording at another rate.",
         within=(0.0, 3600.0),
     )
     current_timeout: float = option(
