@@ -146,6 +146,8 @@ class BridgeNode(ManagedNode):
         )
         self._sender: PacedSender | None = None
         self._sent = 0
+        # Whether blocks are sent, so that what arrives at a live source must leave.
+        self._streams = False
         # Stamp [ns] and displacement [m] of the last joint state.
         self._mirrored: tuple[int, float] | None = None
         self._commands: dict[str, CommandTopic] = {}
@@ -209,6 +211,7 @@ class BridgeNode(ManagedNode):
         return TransitionCallbackReturn.SUCCESS
 
     def _stop(self) -> None:
+        self._streams = False
         if self._sender is not None:
             self._sender.stop()
 
@@ -233,7 +236,7 @@ class BridgeNode(ManagedNode):
             message = messages.current_message(stamp_ns, current, frame_id)
             sender.publish("supply/current", message)
 
-        sender.state = "streams"
+        sender.state, self._streams = "streams", True
         # A larger change of the current is published at once, a smaller one at the next reading.
         supply = Meter(1.0 / values.current_rate, step=0.005)
         thermometer = Meter(1.0)
@@ -326,14 +329,14 @@ class BridgeNode(ManagedNode):
             return Finding(ERROR, sender.failure, figures)
         state = source.state()
         figures.update(state.values)
-        return finding_of(state.finding, state.doing or sender.state, figures)
+        found = state.finding if self._streams else None
+        return finding_of(found, state.doing or sender.state, figures)
 
     def _stream_findings(self) -> list[findings.Finding]:
-        """What is wrong with the stream, if the node is active."""
-        source, sender = self._source, self._sender
-        if source is None or sender is None or not sender.active:
+        """What is wrong with the stream, once blocks are sent."""
+        if self._source is None or not self._streams:
             return []
-        found = source.state().finding
+        found = self._source.state().finding
         return [] if found is None else [found]
 
     def _find_commands(self, what: str) -> Finding:
