@@ -286,8 +286,8 @@ class ZeroOrderHold:
             del self._stamps[:], self._values[:]
         self._jumped = False
 
-    def follow_leap(self, leap_ns: int, start_ns: int) -> None:
-        """Hold the last value on, now that the clock of the samples leapt to ``start_ns``.
+    def follow_leap(self, leap_ns: int, newest_ns: int) -> None:
+        """Hold the last value on, now that the clock of the samples leapt to ``newest_ns``.
 
         Later values may be stamped by the old clock of the samples or by the new one: the stamp
         that continues the values counts.
@@ -296,7 +296,7 @@ class ZeroOrderHold:
         if not self._stamps:
             return
         last_ns, value = self._stamps[-1], self._values[-1]
-        if abs(last_ns + leap_ns - start_ns) >= abs(last_ns - start_ns):
+        if abs(last_ns + leap_ns - newest_ns) >= abs(last_ns - newest_ns):
             return  # the values leapt before the samples
         self._leap_ns += leap_ns
         if leap_ns < 0:

@@ -351,9 +351,9 @@ class ForcePredictor:
 
     def _follow_leap(self, leap_ns: int, block: SampleBlock, now_ns: int | None) -> None:
         """Let all ages continue after a leap of the stamps before this block, or an earlier one."""
-        self._leap_ns = leap_ns or self._leap_ns
+        self._leap_ns += leap_ns
         if self._leap_ns and self.freshness.follow_leap(self._leap_ns, block.end_ns, now_ns):
-            self._current.follow_leap(self._leap_ns, block.start_ns)
+            self._current.follow_leap(self._leap_ns, block.end_ns)
             self._bank.follow_leap(self._leap_ns)
             self._leap_ns = 0
 

@@ -191,7 +191,7 @@ class WindowAssembler:
             # The waiting windows belong to the time before the jump.
             self._waiting.clear()
         if placed.leap_ns:
-            self._current.follow_leap(placed.leap_ns, block.start_ns)
+            self._current.follow_leap(placed.leap_ns, block.end_ns)
         elif placed.kind == "jump_back":
             self._current.follow_jump()
         force, after = placed.measured or (block.force, 0.0)

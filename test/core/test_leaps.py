@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock, joined
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction
 from mr_damper_ros.tracking.validity import DoubtKind
 
@@ -96,3 +96,21 @@ def test_a_stream_that_falls_behind_is_outdated_without_a_leap() -> None:
         behind_ns = NANOSECONDS if k >= LEAP else 0
         last = predictor.predict(block, block.end_ns + behind_ns)
     assert last.doubt.kind is DoubtKind.OUTDATED
+
+
+@pytest.mark.parametrize("name", ["one second ahead", "one second back"])
+def test_a_leap_within_a_backlog_is_followed(name: str) -> None:
+    # After a stall the newest blocks arrive together, and are joined.
+    predictor = ForcePredictor()
+    predictor.set_parameters(SET)
+    late = LEAP + 90
+    for k, block in enumerate(BLOCKS):
+        if k % 10 == 0:
+            predictor.add_current(block.start_ns, 1.0)
+        if LEAP <= k < late:
+            continue
+        waiting = [leapt(name, each, j) for j, each in enumerate(BLOCKS[LEAP : k + 1], LEAP)]
+        sent = joined(waiting) if k == late else [leapt(name, block, k)]
+        for each in sent:
+            last = predictor.predict(each, block.end_ns)
+    assert last.valid, last.reason
