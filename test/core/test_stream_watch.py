@@ -3,7 +3,7 @@
 import itertools
 
 import pytest
-from topic_streams import FAULTY, HEALTHY, LATER, LEAPS, TICK, TopicStream, run
+from topic_streams import FAULTY, HEALTHY, LATER, LEAPS, TICK, TopicStream, run, stamped
 
 from mr_damper_ros.data_check.findings import Finding, Kind
 from mr_damper_ros.data_check.stream_watch import NewFindings
@@ -60,3 +60,10 @@ def test_a_finding_that_stays_is_new_once() -> None:
 def test_a_finding_that_comes_back_after_a_while_is_new_again() -> None:
     new = NewFindings()
     assert [len(new.of([_one()], time)) for time in (0.0, 11.0)] == [1, 1]
+
+
+def test_a_drift_beyond_the_scatter_of_arrivals_is_named() -> None:
+    drifting = stamped(lambda stamp: 1.0005 * stamp)
+    outcome = run(TopicStream(force=drifting, rate=100.0, seconds=14.0))
+    assert list(outcome.first) == [Kind.CLOCKS_DRIFT]
+    assert "500 ±" in outcome.sentences[Kind.CLOCKS_DRIFT]
