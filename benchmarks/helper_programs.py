@@ -31,7 +31,10 @@ def _relay(kind: str, topic: str) -> None:
     from rclpy.executors import ExternalShutdownException
     from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+    from mr_damper_ros.nodes.quality import use_profile
+
     quality = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, depth=1000)
+    use_profile()
     rclpy.init()
     node = rclpy.create_node(kind)
     message_type = CurrentCommand if topic == RELAY_COMMAND else PredictedForce

@@ -42,7 +42,6 @@ from benchmarks.lossy_link import LossyLink, NetworkError
 from benchmarks.motions import random_motion
 from benchmarks.nodes import (
     Nodes,
-    ProfiledDomain,
     ThreeNodes,
     cpu_seconds,
     on_cores,
@@ -55,7 +54,7 @@ from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import current_message, samples_message
 from mr_damper_ros.nodes.spinning import make_executor
-from mr_damper_ros.processes.programs import PATIENCE, Program
+from mr_damper_ros.processes.programs import PATIENCE, Program, RosDomain
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tools.demo import page_of
@@ -344,7 +343,7 @@ class Load:
     rate: float = 1000.0
     block: int = 10
     model: dict[str, object] = field(default_factory=dict)
-    domain: type[ProfiledDomain] = ProfiledDomain
+    domain: type[RosDomain] = RosDomain
     inside: Callable[[str], AbstractContextManager[None]] = lambda side: nullcontext()
 
 
@@ -489,7 +488,7 @@ LOSS, DELAY = 0.05, 0.02
 """Fraction of lost frames, and delay of the other frames [s]."""
 
 
-class NetworkDomain(ProfiledDomain):
+class NetworkDomain(RosDomain):
     """A domain that spans the machines of a network.
 
     Processes on one computer would pass messages through its memory, not through the network.

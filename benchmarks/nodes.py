@@ -18,19 +18,7 @@ from mr_damper_ros.nodes.observer import Observer
 from mr_damper_ros.processes.programs import Program, RosDomain, node_arguments
 from mr_damper_ros.tracking.state_directory import StateDirectory
 
-_PROFILES = Path(__file__).parents[1] / "config" / "fastdds.xml"
-"""Fast DDS profile with which restarted nodes are found sooner; the file explains it."""
-
 _BAD_WORDS = ("[ERROR]", "[FATAL]", "Traceback")
-
-
-class ProfiledDomain(RosDomain):
-    """A separate domain for nodes with the Fast DDS profile of the package."""
-
-    @property
-    def environment(self) -> dict[str, str]:
-        """Environment variables with which a program joins the domain."""
-        return {**super().environment, "FASTRTPS_DEFAULT_PROFILES_FILE": str(_PROFILES)}
 
 
 Self = TypeVar("Self", bound="Nodes")
@@ -43,7 +31,7 @@ class Nodes:
     """
 
     def __init__(self, domain: RosDomain | None = None) -> None:
-        self.domain = domain or ProfiledDomain()
+        self.domain = domain or RosDomain()
         self.observer = Observer(domain=self.domain)
         self.programs: dict[str, Program] = {}
         self._ended: list[str] = []

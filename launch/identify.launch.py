@@ -9,7 +9,6 @@ ros2 launch mr_damper_ros identify.launch.py namespace:=left bridge_config:=/pat
 The launch ends some seconds after the bag. If a node fails, it ends at once with exit code 1.
 """
 
-import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -26,9 +25,6 @@ SHARE = Path(get_package_share_directory(PACKAGE))
 
 RECORDED_TOPICS = ("mts/samples", "supply/current", "temperature")
 """Recorded topics, which are absolute, are remapped to these relative names in the namespace."""
-
-PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-"""If one of them is set, the user has chosen a profile; Fast DDS of Jazzy reads the first."""
 
 LAST_FITS = 5.0
 """Seconds after the end of the bag for the fits of the last windows."""
@@ -167,9 +163,6 @@ def nodes(context: LaunchContext) -> list[Node]:
     sim_time = played if values["use_sim_time"] == "auto" else values["use_sim_time"]
     time = {"use_sim_time": str(sim_time).lower() == "true"}
     clock = [("/clock", values["clock"])]
-    # With this profile, restarted nodes are found at once.
-    profiles = str(SHARE / "config" / "fastdds.xml")
-    environment = {} if any(map(os.environ.get, PROFILES)) else {PROFILES[0]: profiles}
 
     def text(name: str) -> ParameterValue:
         return ParameterValue(values[name], value_type=str)
@@ -190,7 +183,6 @@ def nodes(context: LaunchContext) -> list[Node]:
             parameters=[values[f"{name}_config"], {**parameters, **known.get(name, {})}],
             remappings=remappings or [],
             ros_arguments=["--enclave", f"{values['enclave'].rstrip('/')}/{name}"],
-            additional_env=environment,
             output="screen",
             on_exit=after(name, values),
         )

@@ -69,12 +69,12 @@ class Kind(Enum):
         REFUSE,
         "no samples arrive on mts/samples: start the bridge or your driver, and publish reliably",
     )
-    UNUSABLE = (
+    UNUSABLE = REFUSE, "{count} messages on {topic} could not be used: {reason}"
+    NOT_FINITE = (
         REFUSE,
-        "{count} messages cannot be used: each needs a period above 0, and as many displacements "
-        "as forces",
+        "{count} values of the {channel} are not finite: let the driver measure the {channel}, or "
+        "name another field or topic",
     )
-    NOT_FINITE = REFUSE, "{count} values of the {channel} are not finite"
     RATE = (
         WARN,
         "by the stamps the sample period is {measured:.4g} ms ({rate:.4g} Hz), but the messages "
@@ -116,6 +116,80 @@ class Kind(Enum):
     CURRENT_CLOCK = (
         WARN,
         "the current is stamped {ahead:.3g} s {direction} than the samples: synchronise the clocks",
+    )
+    # -- a running stream
+    STOPPED = NOTE, "nothing arrives on {topic}: has its publisher stopped or paused?"
+    NO_PUBLISHER = WARN, "nothing publishes {topic}: {advice}"
+    BEST_EFFORT = (
+        WARN,
+        "{topic} is published best effort, which a reliable subscription cannot receive: set "
+        "qos_overrides.<topic>.subscription.reliability to best_effort",
+    )
+    CHANNEL_SILENT = (
+        WARN,
+        "nothing arrives on {topic}, while {other} arrives: start the publisher of the {channel}",
+    )
+    SEVERAL_PUBLISHERS = (
+        WARN,
+        "{topic} is published by {names}: stop all but one; or remap the others to another topic, "
+        "because their values are mixed",
+    )
+    NO_STAMPS = (
+        WARN,
+        "the messages on {topic} are stamped 0, so the time of the {channel} is unknown: fill "
+        "header.stamp in the driver",
+    )
+    FROZEN_STAMPS = (
+        WARN,
+        "the stamps on {topic} do not advance: stamp each message with the time of its values (has "
+        "the clock of the driver stopped, such as /clock?)",
+    )
+    GROUPED_STAMPS = (
+        WARN,
+        "{size:.2g} messages in a row on {topic} have the same stamp, so their times are unknown: "
+        "stamp each message with the time of its own values",
+    )
+    CLOCKS_APART = (
+        WARN,
+        "the stamps of the {channel} are {apart:.4g} s away from those of the {other}, so the two "
+        "cannot be joined: stamp both by one clock (the same use_sim_time, synchronised "
+        "computers), or set topics.own_clocks",
+    )
+    CLOCKS_DRIFT = (
+        WARN,
+        "the clocks of {other} and {channel} drift apart by {drift:.0f} ± {doubt:.0f} ppm: "
+        "synchronise them, or set topics.own_clocks",
+    )
+    CLOCK_SET = (
+        WARN,
+        "the stamps on {topic} leapt by {leap:+.4g} s: was the clock of the driver set? The "
+        "samples continue with the new stamps",
+    )
+    NO_LINK = WARN, "{reason}"
+    NO_DATA = WARN, "nothing arrives from {sender}: is it running?"
+    NO_LINE_END = (
+        WARN,
+        "{count} bytes have arrived from {sender} without a line feed{how}",
+    )
+    UNREADABLE = (
+        WARN,
+        "{count} of {whole} rows cannot be read as {columns}, such as '{example}': correct "
+        "stream.columns, or the sender",
+    )
+    WRONG_RATE = (
+        WARN,
+        "the samples arrive at {rate:.4g} Hz instead of the stated {stated:g} Hz, so they are not "
+        "used: correct the rate",
+    )
+    WRONG_TIME_UNIT = (
+        WARN,
+        "the sender's clock runs {speed:.3g} times as fast as this computer's: is the unit of the "
+        "time right?",
+    )
+    UNPUBLISHED = (
+        WARN,
+        "only {share:.0%} of the values of the {channel} that arrive on {topic} become samples: "
+        "compare the counts of lost and unusable values in the diagnostics, and correct the driver",
     )
     # -- one channel
     STUCK = REFUSE, "the {channel} {how}: is its sensor connected?"

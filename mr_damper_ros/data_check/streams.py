@@ -206,7 +206,11 @@ class RigCheck:
 
 def check_rig(record: RigRecord) -> RigCheck:
     """Check the received signals of a rig, ideally 30 s of motion at several frequencies."""
-    found = [Kind.UNUSABLE.found(count=record.unusable)] if record.unusable else []
+    found = []
+    if record.unusable:
+        reason = "each needs a period above 0, and as many displacements as forces"
+        topic = "mts/samples"
+        found.append(Kind.UNUSABLE.found(count=record.unusable, topic=topic, reason=reason))
     if not record.blocks:
         return RigCheck((*found, Kind.SILENT.found(), *current_findings(record)), "")
     found += stream_findings(record)

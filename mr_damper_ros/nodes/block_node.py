@@ -27,7 +27,7 @@ from mr_damper_ros.nodes.messages import (
     report_of,
 )
 from mr_damper_ros.nodes.node_parameters import NodeParameters
-from mr_damper_ros.nodes.rclpy_internals import now_ns
+from mr_damper_ros.nodes.rclpy_internals import NodeClock
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.tracking.predictor import ForcePredictor
@@ -73,6 +73,7 @@ class BlockNode(Node, Generic[Options, Answer]):
     def __init__(self, name: str, table: type[Options]) -> None:
         super().__init__(name)
         self._options: Options = NodeParameters(self, table).values
+        self._age_clock = NodeClock(self)
         # The remaining work on the newest block, and when it is due.
         self._work: Callable[[], None] | None = None
         self._due = math.inf
@@ -111,6 +112,7 @@ class BlockNode(Node, Generic[Options, Answer]):
                 **concerns,
                 "latency": self._latency_finding,
             },
+            self._inputs.stream_findings,
         )
 
     def _take_set(self, message: DamperParameters) -> None:
@@ -158,22 +160,31 @@ class BlockNode(Node, Generic[Options, Answer]):
         )
 
     @abstractmethod
-    def _publish_answer(self, block: SampleBlock, now_ns: int) -> Answer:
-        """Publish the answer to a block at the node's time [ns], and return it."""
+    def _publish_answer(self, block: SampleBlock, now_ns: int | None) -> Answer:
+        """Publish the answer to a block at a time [ns] as in :meth:`_now_ns`, and return it."""
 
     @abstractmethod
     def _finish(self, answer: Answer, block: SampleBlock) -> None:
         """Complete the remaining work on a block after its answer."""
 
+    def _now_ns(self) -> int | None:
+        """Time [ns] from which the age of samples follows, by a clock that is never set.
+
+        Simulated time gives no age: it runs at the rate of a replay, and its messages have no
+        common order with the samples. Every block is then answered.
+        """
+        return None if self._age_clock.is_simulated else self._age_clock.now_ns()
+
     def _take_block(self, block: SampleBlock) -> None:
         began = time.perf_counter()
         self._finish_work()
-        present_ns = now_ns(self)
+        present_ns = self._now_ns()
         freshness = self._predictor.freshness
         if freshness.are_older(block.end_ns, present_ns, self._late):
-            block, skipped = self._inputs.skip_to_newest(block, self._predictor.predict)
+            predict = partial(self._predictor.predict, now_ns=present_ns)
+            block, skipped = self._inputs.skip_to_newest(block, predict)
             self._skipped += skipped
-            present_ns = now_ns(self)
+            present_ns = self._now_ns()
         answer = self._publish_answer(block, present_ns)
         self._work = partial(self._finish, answer, block)
         # The subscribers of the answer run first if they share a core with this process.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,9 +18,10 @@ from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState, Temperature
 
+from mr_damper_ros.data_check import findings
 from mr_damper_ros.nodes import messages
 from mr_damper_ros.nodes.command_topic import CommandTopic
-from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding, finding_of
 from mr_damper_ros.nodes.managed_node import ManagedNode, ManagedOptions
 from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.pacing import PacedSender, PacingSettings
@@ -144,6 +146,8 @@ class BridgeNode(ManagedNode):
         )
         self._sender: PacedSender | None = None
         self._sent = 0
+        # Whether blocks are sent, so that what arrives at a live source must leave.
+        self._streams = False
         # Stamp [ns] and displacement [m] of the last joint state.
         self._mirrored: tuple[int, float] | None = None
         self._commands: dict[str, CommandTopic] = {}
@@ -154,6 +158,7 @@ class BridgeNode(ManagedNode):
                 "current": partial(self._find_commands, "current"),
                 "motion": partial(self._find_commands, "motion"),
             },
+            self._stream_findings,
         )
         if self.parameters.values.autostart:
             self._start_by_itself()
@@ -206,6 +211,7 @@ class BridgeNode(ManagedNode):
         return TransitionCallbackReturn.SUCCESS
 
     def _stop(self) -> None:
+        self._streams = False
         if self._sender is not None:
             self._sender.stop()
 
@@ -230,11 +236,12 @@ class BridgeNode(ManagedNode):
             message = messages.current_message(stamp_ns, current, frame_id)
             sender.publish("supply/current", message)
 
-        sender.state = "streams"
+        sender.state, self._streams = "streams", True
         # A larger change of the current is published at once, a smaller one at the next reading.
         supply = Meter(1.0 / values.current_rate, step=0.005)
         thermometer = Meter(1.0)
         decimator, self._mirrored = Decimator(values.mirror_rate), None
+        source = self._source
         block = None
         for block in blocks:
             # Current and temperature are published first, so that subscribers know them when the
@@ -252,6 +259,8 @@ class BridgeNode(ManagedNode):
                     messages.SUSPENSION_TOPIC, messages.suspension_message(block.suspension, stamp)
                 )
             sender.publish("mts/samples", messages.samples_message(block, frame_id))
+            if source is not None and source.watch is not None:
+                source.watch.leave(time.monotonic(), block.period, block.displacement, block.force)
             if _MIRROR in sender.publishers:
                 for k, stamp_ns in decimator.due(block.start_ns, block.period, block.sample_count):
                     self._publish_mirror(sender, block, k, stamp_ns)
@@ -320,7 +329,15 @@ class BridgeNode(ManagedNode):
             return Finding(ERROR, sender.failure, figures)
         state = source.state()
         figures.update(state.values)
-        return Finding(WARN if state.fault else OK, state.fault or sender.state, figures)
+        found = state.finding if self._streams else None
+        return finding_of(found, state.doing or sender.state, figures)
+
+    def _stream_findings(self) -> list[findings.Finding]:
+        """What is wrong with the stream, once blocks are sent."""
+        if self._source is None or not self._streams:
+            return []
+        found = self._source.state().finding
+        return [] if found is None else [found]
 
     def _find_commands(self, what: str) -> Finding:
         if what not in self._commands:

@@ -147,6 +147,7 @@ class CampaignNode(Node):
                 "current": self._inputs.current_finding,
                 "campaign": self._finding,
             },
+            self._inputs.stream_findings,
         )
         if self._options.autostart:
             self._begin(self._options.goal)

@@ -19,7 +19,7 @@ from mr_damper_ros.control.force_controller import (
     ForceController,
     ForceControlSettings,
 )
-from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes import quality, rclpy_internals
 from mr_damper_ros.nodes.block_node import BlockNode, SetOptions
 from mr_damper_ros.nodes.command_topic import COMMAND_DEPTH, COMMAND_TOPIC, DEMAND_TOPIC
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Finding, steady_timer
@@ -113,10 +113,10 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
             to_nanoseconds(message.header.stamp), message.force
         )
 
-    def _publish_answer(self, block: SampleBlock, now_ns: int) -> Command:
+    def _publish_answer(self, block: SampleBlock, now_ns: int | None) -> Command:
         self._last_block = time.monotonic()
         command = self._controller.command(block, now_ns)
-        self._publish(command.current, now_ns)
+        self._publish(command.current, rclpy_internals.now_ns(self))
         return command
 
     def _publish(self, current: float, stamp_ns: int) -> None:

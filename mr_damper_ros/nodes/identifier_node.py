@@ -158,6 +158,7 @@ class IdentifierNode(Node):
                 "parameters": self._find_parameters,
                 "state": self._find_state,
             },
+            self._inputs.stream_findings,
         )
         kept = options.state_dir
         self.get_logger().info(

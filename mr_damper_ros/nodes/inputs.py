@@ -11,8 +11,11 @@ from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+from mr_damper_ros.data_check import findings
+from mr_damper_ros.data_check.findings import Kind
+from mr_damper_ros.data_check.stream_watch import StreamWatch, several_publishers
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.diagnostics import OK, WARN, Finding
+from mr_damper_ros.nodes.diagnostics import WARN, Finding, finding_of
 from mr_damper_ros.nodes.messages import sample_block, to_nanoseconds
 from mr_damper_ros.nodes.rclpy_internals import waiting_messages
 from mr_damper_ros.signals.blocks import SILENCE, BlockError, CurrentError, SampleBlock, joined
@@ -20,6 +23,9 @@ from mr_damper_ros.signals.uniform_grid import UniformGrid
 
 SAMPLES_TOPIC = "mts/samples"
 CURRENT_TOPIC = "supply/current"
+
+_SAMPLES, _CURRENT = "samples", "current"
+"""Channels of the watch."""
 
 T = TypeVar("T")
 
@@ -32,7 +38,7 @@ class Stream(Generic[T]):
     """A subscription that counts its samples and its rejected messages.
 
     ``read`` converts a message, or rejects it by a BlockError, CurrentError or MessageError;
-    ``use`` receives what it returns. ``advice`` is added to the fault if nothing publishes the
+    ``use`` receives what it returns. ``advice`` is added to the finding if nothing publishes the
     topic. ``topic`` is its name in sentences.
     """
 
@@ -50,7 +56,7 @@ class Stream(Generic[T]):
         self._advice, self.topic = advice, topic
         self._count = self._rejected_since = self.rejected = 0
         self._since = time.monotonic()
-        self._heard = -math.inf
+        self._heard = self._since
         self._rejection = ""
         self.subscription = quality.subscription(node, kind, topic, self.take, profile)
 
@@ -77,7 +83,7 @@ class Stream(Generic[T]):
 
     @property
     def silent(self) -> bool:
-        """Whether no message has arrived recently, or ever."""
+        """Whether no message has arrived recently."""
         return time.monotonic() - self._heard >= SILENCE
 
     def take_rate(self) -> float:
@@ -87,26 +93,28 @@ class Stream(Generic[T]):
         self._count, self._since = 0, now
         return rate
 
-    def take_fault(self) -> str:
-        """The fault of the stream since the last call, as a sentence; empty without a fault."""
+    def take_finding(self) -> findings.Finding | None:
+        """What is wrong with the stream since the last call."""
         rejected, self._rejected_since = self._rejected_since, 0
         if rejected:
-            return f"{rejected} messages on {self.topic} could not be used: {self._rejection}"
+            reason = self._rejection
+            return Kind.UNUSABLE.found(count=rejected, topic=self.topic, reason=reason)
+        return self.absence()
+
+    def absence(self) -> findings.Finding | None:
+        """Why nothing has arrived recently; None if something has."""
         if not self.silent:
-            return ""
+            return None
         if self._node.count_publishers(self.topic) == 0:
-            return f"nothing publishes {self.topic}: {self._advice}"
+            return Kind.NO_PUBLISHER.found(topic=self.topic, advice=self._advice)
         # A reliable subscription receives nothing from publishers that are all best effort.
         profile = self.subscription.qos_profile  # with the overrides by the user
         if profile.reliability == ReliabilityPolicy.RELIABLE and all(
             publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
             for publisher in self._node.get_publishers_info_by_topic(self.topic)
         ):
-            return (
-                f"{self.topic} is published best effort, which a reliable subscription cannot "
-                "receive: set qos_overrides.<topic>.subscription.reliability to best_effort"
-            )
-        return f"nothing arrives on {self.topic}: has its publisher stopped?"
+            return Kind.BEST_EFFORT.found(topic=self.topic)
+        return Kind.STOPPED.found(topic=self.topic)
 
 
 class Inputs:
@@ -122,13 +130,25 @@ class Inputs:
         self._node = node
         self._value = math.nan
         self._interruptions = 0
+        # Both have their own clocks, and all samples are used: only what arrives is judged.
+        watch = self._watch = StreamWatch(
+            {_SAMPLES: SAMPLES_TOPIC, _CURRENT: CURRENT_TOPIC}, own_clocks=True
+        )
 
         def read_current(message: SupplyCurrent) -> float:
-            on_current(to_nanoseconds(message.header.stamp), message.current)
+            stamp_ns = to_nanoseconds(message.header.stamp)
+            on_current(stamp_ns, message.current)
             self._value = message.current
+            watch.arrive(_CURRENT, time.monotonic(), stamp_ns, message.current)
             return self._value
 
-        self.samples = Stream(node, MtsSamples, SAMPLES_TOPIC, sample_block, on_block, profile())
+        def use_block(block: SampleBlock) -> None:
+            on_block(block)
+            now = time.monotonic()
+            watch.arrive(_SAMPLES, now, block.start_ns, float(block.force[0]))
+            watch.leave(now, block.period, block.displacement, block.force)
+
+        self.samples = Stream(node, MtsSamples, SAMPLES_TOPIC, sample_block, use_block, profile())
         self._current = Stream(
             node, SupplyCurrent, CURRENT_TOPIC, read_current, lambda _: None, profile()
         )
@@ -149,44 +169,53 @@ class Inputs:
             follow(part)
         return newest, len(skipped)
 
+    def stream_findings(self) -> list[findings.Finding]:
+        """What the watch finds in both streams now."""
+        return self._watch.findings(time.monotonic())
+
+    def _first(self, *, of_current: bool) -> findings.Finding | None:
+        found = (
+            each for each in self.stream_findings() if (each.channel == _CURRENT) is of_current
+        )
+        return next(found, None)
+
     def samples_finding(self, sequence: UniformGrid) -> Finding:
         """The rate and faults of the samples; ``sequence``: the grid that counts interruptions."""
-        rate, fault = self.samples.take_rate(), self.samples.take_fault()
+        rate, found = self.samples.take_rate(), self.samples.take_finding()
+        found = found or self._first(of_current=False)
         before, self._interruptions = self._interruptions, sequence.interruptions
         interruptions = self._interruptions - before
-        if not fault and interruptions:
-            fault = sequence.last_interruption
+        values = {
+            "samples/s": f"{rate:.1f}",
+            "lost": sequence.lost_samples,
+            "bridged": sequence.bridged_samples,
+            "repeated": sequence.repeated_samples,
+            "interruptions": sequence.interruptions,
+            "rejected messages": self.samples.rejected,
+        }
+        if not found and interruptions > 1:
+            publishers = quality.publishing_nodes(self._node, SAMPLES_TOPIC)
+            if len(publishers) > 1:
+                found = several_publishers(SAMPLES_TOPIC, publishers)
+        if not found and interruptions:
+            sentence = sequence.last_interruption
             if interruptions > 1:
-                fault += f" ({interruptions} interruptions of the stream since the last report)"
-                publishers = quality.publishing_nodes(self._node, SAMPLES_TOPIC)
-                if len(publishers) > 1:
-                    names = quality.listed(publishers)
-                    fault = f"{SAMPLES_TOPIC} is published by {names}: stop all but one; {fault}"
-        return Finding(
-            WARN if fault else OK,
-            fault or f"{rate:.0f} samples/s{_pace(rate, sequence)}",
-            {
-                "samples/s": f"{rate:.1f}",
-                "lost": sequence.lost_samples,
-                "bridged": sequence.bridged_samples,
-                "repeated": sequence.repeated_samples,
-                "interruptions": sequence.interruptions,
-                "rejected messages": self.samples.rejected,
-            },
-        )
+                sentence += f" ({interruptions} interruptions of the stream since the last report)"
+            return Finding(WARN, sentence, values)
+        return finding_of(found, f"{rate:.0f} samples/s{_pace(rate, sequence)}", values)
 
     def current_finding(self) -> Finding:
         """The value and faults of the supply current."""
-        rate, fault = self._current.take_rate(), self._current.take_fault()
-        return Finding(
-            WARN if fault else OK,
-            fault or f"{self._value:.3f} A",
-            {
-                "current [A]": self._value,
-                "values/s": f"{rate:.1f}",
-                "rejected messages": self._current.rejected,
-            },
-        )
+        rate, found = self._current.take_rate(), self._current.take_finding()
+        # With a cause in the network, the watch sees only its effect.
+        if found is None or found.kind is Kind.STOPPED:
+            found = self._first(of_current=True) or found
+        values = {
+            "current [A]": self._value,
+            "values/s": f"{rate:.1f}",
+            "rejected messages": self._current.rejected,
+        }
+        return finding_of(found, f"{self._value:.3f} A", values)
 
 
 def _pace(rate: float, sequence: UniformGrid) -> str:

@@ -101,7 +101,7 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
             + (f"; until then the parameters of {file} are used" if file else "")
         )
 
-    def _publish_answer(self, block: SampleBlock, now_ns: int) -> Prediction:
+    def _publish_answer(self, block: SampleBlock, now_ns: int | None) -> Prediction:
         prediction = self._predictor.predict(block, now_ns)
         self._force.publish(messages.fill_prediction(self._message, prediction))
         return prediction

@@ -40,6 +40,7 @@ class Observer(AbstractContextManager):
     def __init__(
         self, name: str = "observer", domain: RosDomain | None = None, namespace: str = ""
     ) -> None:
+        quality.use_profile()
         self._context = rclpy.Context()
         with domain.entered() if domain else nullcontext():
             self._context.init()

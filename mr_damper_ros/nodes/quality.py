@@ -6,14 +6,20 @@ default, rclpy's profiles are reliable, volatile, and keep the last messages.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
+
+from mr_damper_ros.data_check.stream_watch import listed as listed
 
 STREAM_DEPTH = 1000
 """Queue length of a stream: ten seconds at 1 kHz in blocks of ten."""
@@ -28,6 +34,21 @@ _OVERRIDABLE: dict[QoSPolicyKind, tuple[str, ...]] = {
     QoSPolicyKind.DEPTH: (),
 }
 """Policies that may be overridden, and their allowed values; a depth is a number."""
+
+
+_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+"""If one of them is set, the user has chosen a profile; Fast DDS of Jazzy reads the first."""
+
+
+def use_profile() -> None:
+    """Let Fast DDS read the profile of this package, unless the user has chosen one.
+
+    Fast DDS reads it when the first context of the process is initialised.
+    """
+    if not any(map(os.environ.get, _PROFILES)):
+        with suppress(PackageNotFoundError):
+            share = get_package_share_directory("mr_damper_ros")
+            os.environ[_PROFILES[0]] = str(Path(share, "config", "fastdds.xml"))
 
 
 def stream(depth: int = STREAM_DEPTH) -> QoSProfile:
@@ -85,13 +106,6 @@ def publishing_nodes(node: Node, topic: str) -> list[str]:
         f"{found.node_namespace.rstrip('/')}/{found.node_name}"
         for found in node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
     )
-
-
-def listed(names: Collection[str]) -> str:
-    """The names of publishing nodes in words; two with the same name may be one that was killed."""
-    repeated = len(set(names)) < len(names)
-    killed = " (a killed node stays listed for up to a minute)" if repeated else ""
-    return " and ".join(names) + killed
 
 
 def objection(name: str, value: object) -> str:

@@ -22,6 +22,25 @@ def given_parameters(node: Node) -> dict[str, Any]:
     return {name: parameter.value for name, parameter in node._parameter_overrides.items()}
 
 
+class NodeClock:
+    """The time of a node: simulated time, or a clock that is never set after the start."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._ahead_ns = time.time_ns() - time.monotonic_ns()
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the node's time comes from the clock topic."""
+        return bool(self._node._time_source.ros_time_is_active)
+
+    def now_ns(self) -> int:
+        """The present time [ns]."""
+        if self.is_simulated:
+            return int(self._node.get_clock().now().nanoseconds)
+        return time.monotonic_ns() + self._ahead_ns
+
+
 def now_ns(node: Node) -> int:
     """Time [ns] by the node's clock.
 

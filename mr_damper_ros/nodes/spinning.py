@@ -25,7 +25,7 @@ from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from mr_damper_ros.nodes.quality import OVERRIDES
+from mr_damper_ros.nodes.quality import OVERRIDES, use_profile
 from mr_damper_ros.nodes.rclpy_internals import RCLError, given_parameters
 from mr_damper_ros.processes.blas_threads import keep_one_thread
 from mr_damper_ros.processes.files import reason_of
@@ -86,6 +86,7 @@ def run(
         signals: list[int] = []
         for number in _SIGNALS:
             signal.signal(number, lambda received, _: signals.append(received))
+        use_profile()
         with _refusals("the command line cannot be used"):
             rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         return _spin(_node(factory), ended, between, left, signals)

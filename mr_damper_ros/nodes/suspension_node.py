@@ -14,7 +14,7 @@ from std_msgs.msg import Header
 from mr_damper_ros.control.semi_active import SuspensionSettings, controller_of
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.command_topic import DEMAND_TOPIC
-from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.diagnostics import Diagnostics, Finding, finding_of
 from mr_damper_ros.nodes.inputs import MessageError, Stream
 from mr_damper_ros.nodes.messages import BODY, SUSPENSION_TOPIC, suspension_state, to_nanoseconds
 from mr_damper_ros.nodes.node_parameters import NodeParameters
@@ -95,11 +95,9 @@ class SuspensionNode(Node):
 
     def _finding(self) -> Finding:
         """The desired force; without it, the damper controller commands its safe current."""
-        rate, fault = self._stream.take_rate(), self._stream.take_fault()
+        rate, found = self._stream.take_rate(), self._stream.take_finding()
         values = {"desired force [N]": f"{self._last:.4g}", "forces/s": f"{rate:.1f}"}
-        if fault:
-            return Finding(STALE if self._stream.silent else WARN, fault, values)
-        return Finding(OK, f"the desired force is {self._last:.0f} N", values)
+        return finding_of(found, f"the desired force is {self._last:.0f} N", values)
 
 
 main = partial(run, SuspensionNode, SuspensionParameters)

@@ -9,22 +9,23 @@ from __future__ import annotations
 
 import re
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from typing import Any
 
 from rclpy.node import Node
 
+from mr_damper_ros.data_check.findings import Kind
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.inputs import MessageError, Stream
+from mr_damper_ros.nodes.inputs import Stream
 from mr_damper_ros.nodes.messages import to_nanoseconds
-from mr_damper_ros.rig.blocks import BlockMaker, Measured
+from mr_damper_ros.nodes.rclpy_internals import NodeClock
+from mr_damper_ros.rig.joined_topics import CHANNELS, JoinedTopics
 from mr_damper_ros.rig.sources.source import Source, SourceState, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
-from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock, fits_a_stamp
-from mr_damper_ros.signals.stamped_channel import ChannelJoin, StampedChannel
+from mr_damper_ros.signals.blocks import RigBlock
 
 
 @dataclass(frozen=True)
@@ -93,13 +94,13 @@ class TopicSource(Source):
         super().__init__(settings, stream)
         self._node = node
         self._inputs: list[_Input] = []
-        self._join = self._new_join()
+        self._joined = self._new_join()
 
     def open(self) -> list[str]:
         """Subscribe; raises ValueError if a type or a field is invalid."""
         try:
-            for name in ("displacement", "force"):
-                self._inputs.append(_Input(self._node, name, self.settings))
+            for name in CHANNELS:
+                self._inputs.append(_Input(self._node, name, self.settings, self._current_join))
         except ValueError:
             self.close()
             raise
@@ -107,34 +108,19 @@ class TopicSource(Source):
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
         """Yield the samples as they arrive, with the stamps of the force."""
-        displacement, force = self._inputs
-        join = self._join = self._new_join()
-        for item in self._inputs:
-            item.arrived.clear()
-        maker = BlockMaker(self.stream.block_size)
+        joined = self._joined = self._new_join()
         while True:
-            force.hand_on(join.lead)
-            displacement.hand_on(join.follow)
-            for run in join.take():
-                period = join.leader.period
-                for k, pair in enumerate(zip(run.following, run.leading, strict=True)):
-                    stamp_ns = run.start_ns + round(k * period * NANOSECONDS)
-                    maker.add(run.index + k, stamp_ns, period, Measured(*pair))
-            made = maker.take()
+            made = joined.take()
             if not made[0].sample_count:
                 time.sleep(0.005)
             yield from made
 
     def state(self) -> SourceState:
-        """The counts of received, lost and unusable messages, and the fault."""
-        join = self._join
-        values: dict[str, object] = {
-            f"{name} {what}": count
-            for name, channel in (("force", join.leader), ("displacement", join.follower))
-            for what, count in channel.figures().items()
-        }
-        values["force without displacement"] = join.without_partner
-        return SourceState(self._fault(), values)
+        """The counts of received, lost and unusable messages, and what is wrong."""
+        absences = [found for item in self._inputs if (found := item.absence()) is not None]
+        of_network = (each for each in absences if each.kind is not Kind.STOPPED)
+        causes = [*of_network, *self._joined.findings(time.monotonic()), *absences]
+        return SourceState(causes[0] if causes else None, self._joined.figures())
 
     def close(self) -> None:
         """End the subscriptions."""
@@ -142,72 +128,66 @@ class TopicSource(Source):
             item.close()
         self._inputs = []
 
-    def _new_join(self) -> ChannelJoin:
-        given = self.settings
-        return ChannelJoin(
-            StampedChannel(given.hold_back),
-            StampedChannel(given.hold_back),
+    def _current_join(self) -> JoinedTopics:
+        return self._joined
+
+    def _new_join(self) -> JoinedTopics:
+        given, node = self.settings, self._node
+        topics = (given.displacement_topic, given.force_topic or given.displacement_topic)
+        joined = JoinedTopics(
+            dict(zip(CHANNELS, map(node.resolve_topic_name, topics), strict=True)),
+            self.stream.block_size,
+            partial(quality.publishing_nodes, node),
+            hold_back=given.hold_back,
             own_clocks=given.own_clocks,
             sampled_at_stamps=given.stamps == "sampling",
         )
-
-    def _fault(self) -> str:
-        for item in self._inputs:
-            fault = item.fault()
-            if fault:
-                return fault
-        join = self._join
-        apart = join.follower.clock.rate - join.leader.clock.rate
-        if not self.settings.own_clocks and abs(apart) > 5e-6:
-            return (
-                f"the clocks of the two topics drift apart by {1e6 * abs(apart):.0f} ppm: "
-                "set topics.own_clocks"
-            )
-        return ""
+        self.watch = joined.watch
+        return joined
 
 
 class _Input:
-    """One topic: the stamp, arrival time and value of each received message."""
+    """One topic: reads the value of each received message, and passes it on."""
 
-    def __init__(self, node: Node, name: str, settings: TopicOptions) -> None:
+    def __init__(
+        self, node: Node, name: str, settings: TopicOptions, joined: Callable[[], JoinedTopics]
+    ) -> None:
         given = vars(settings)
         self.name, self.field = name, given[f"{name}_field"]
-        self._node = node
+        self._node, self._joined = node, joined
+        self._clock = NodeClock(node)
         self._scale = given[f"{name}_scale"]
         self._value = _reader(self.field, name)
-        self.arrived: deque[tuple[int, int, float]] = deque()
-        self._stream = Stream(
+        self._stream: Stream[Any] = Stream(
             node,
             _message_type(given[f"{name}_type"], name),
             given[f"{name}_topic"] or settings.displacement_topic,
-            self._read,
-            self.arrived.append,
+            lambda message: message,
+            self._take,
             # A busy computer may fall behind by more than a queue of fixed length.
             quality.lossless(),
             f"it must contain the {name}",
         )
         self.topic = self._stream.topic = self._stream.subscription.topic_name
-        self.fault = self._stream.take_fault
+        self.absence = self._stream.absence
 
     def close(self) -> None:
         """End the subscription."""
         self._node.destroy_subscription(self._stream.subscription)
 
-    def hand_on(self, take: Callable[[int, int, float], None]) -> None:
-        """Pass on the received values."""
-        while self.arrived:
-            take(*self.arrived.popleft())
-
-    def _read(self, message: Any) -> tuple[int, int, float]:
-        stamp_ns = to_nanoseconds(message.header.stamp)
+    def _take(self, message: Any) -> None:
+        """Pass on the value of a message, or the reason why there is none."""
+        stamp_ns, now = to_nanoseconds(message.header.stamp), time.monotonic()
         try:
             value = self._scale * self._value(message)
-        except (AttributeError, IndexError, ValueError, TypeError) as error:
-            reason = f"they have no field {self.field} for the {self.name}"
-            raise MessageError(reason) from error
-        if not fits_a_stamp(stamp_ns) or stamp_ns == 0:
-            raise MessageError("they have no stamp")
-        return stamp_ns, self._node.get_clock().now().nanoseconds, value
+        except (AttributeError, IndexError, ValueError, TypeError):
+            reason = (
+                f"they have no field {self.field} for the {self.name}: correct "
+                f"topics.{self.name}_field, or let the driver fill it"
+            )
+            self._joined().watch.reject(self.name, now, reason)
+            return
+        self._joined().arrive(self.name, now, self._clock.now_ns(), stamp_ns, value)
 
 
 def _reader(field: str, name: str) -> Callable[[Any], float]:

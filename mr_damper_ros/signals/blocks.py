@@ -240,6 +240,8 @@ class ZeroOrderHold:
         self._stamps = array("q")
         self._values = array("d")
         self._jumped = False
+        # Time to add to stamps on the clock of the samples before its last leap.
+        self._leap_ns = 0
 
     @property
     def last_stamp_ns(self) -> int | None:
@@ -254,6 +256,12 @@ class ZeroOrderHold:
         """
         if not math.isfinite(current):
             raise CurrentError(f"the current is {current}: it must be a finite number")
+        if self._leap_ns:
+            away_ns = stamp_ns - self._stamps[-1]
+            if abs(away_ns + self._leap_ns) < abs(away_ns):
+                stamp_ns += self._leap_ns
+            else:
+                self._leap_ns = 0
         place = bisect_left(self._stamps, stamp_ns)
         back_ns = self._stamps[-1] - stamp_ns if self._stamps else 0
         if back_ns > LATE_NS:
@@ -277,6 +285,24 @@ class ZeroOrderHold:
         if not self._jumped:
             del self._stamps[:], self._values[:]
         self._jumped = False
+
+    def follow_leap(self, leap_ns: int, newest_ns: int) -> None:
+        """Hold the last value on, now that the clock of the samples leapt to ``newest_ns``.
+
+        Later values may be stamped by the old clock of the samples or by the new one: the stamp
+        that continues the values counts.
+        """
+        self._jumped = False
+        if not self._stamps:
+            return
+        last_ns, value = self._stamps[-1], self._values[-1]
+        if abs(last_ns + leap_ns - newest_ns) >= abs(last_ns - newest_ns):
+            return  # the values leapt before the samples
+        self._leap_ns += leap_ns
+        if leap_ns < 0:
+            del self._stamps[:], self._values[:]
+        self._stamps.append(last_ns + leap_ns)
+        self._values.append(value)
 
     def known_from(self, stamp_ns: int) -> bool:
         """Whether a value applies at the stamp."""

@@ -67,6 +67,10 @@ _SECONDS = 60
 _CHECKED = 5
 """Time [s] of arrivals before the rate is estimated; at first only the offset is estimated."""
 
+_BOUNDED, _SCATTERS = 10, 4.0
+"""Time [s] of arrivals before the error of the rate is bounded. Within all arrivals, this error may
+shift the line by so many times their scatter about it, because delays often change slowly."""
+
 
 class ArrivalClock:
     """Estimates how far the clock of this computer is ahead of the clock of the stamps.
@@ -78,6 +82,8 @@ class ArrivalClock:
         self._least: deque[tuple[int, int]] = deque(maxlen=_SECONDS)
         self._second: int | None = None
         self._line = (0.0, 0.0, 0)
+        self.rate_bound = math.inf
+        """Bound of the error of the rate [1]; infinite while unknown."""
 
     @property
     def rate(self) -> float:
@@ -115,6 +121,9 @@ class ArrivalClock:
             self._line = (0.0, float(ahead.min()), base)
             return
         slope, offset = np.polyfit(times, ahead, 1)
+        if times.size >= _BOUNDED:
+            scatter = float(np.ptp(ahead - slope * times))
+            self.rate_bound = _SCATTERS * scatter / float(np.ptp(times))
         self._line = (float(slope), float(offset), base)
 
 

@@ -56,6 +56,10 @@ class NumberedSample(Generic[V]):
     value: V
 
 
+_SET_BACK = 16
+"""After this number of late values in a row, the clock of the stamps was set back."""
+
+
 _COUNTS = ("received", "repeated", "late", "not_finite", "jumps", "lost", "unclear")
 
 
@@ -63,7 +67,8 @@ class StampedChannel(Generic[V]):
     """Sorts values by their stamps [ns] and estimates the index and time of each sample.
 
     A value is released when a stamp arrives that is ``hold_back`` [s] later, so that delayed values
-    can be sorted in. The order restarts if the stamps are set back. The ``period`` [s] is estimated
+    can be sorted in. The order restarts if the stamps are set back, and the estimation of the times
+    if they leap in either direction. The ``period`` [s] is estimated
     from the first few hundred stamps and is NaN before. ``counts`` holds the numbers of received
     values, of unusable ones and of jumps back in time, by name; "lost" are the skipped indices,
     "unclear" the samples omitted near them because their index is uncertain.
@@ -71,8 +76,12 @@ class StampedChannel(Generic[V]):
 
     def __init__(self, hold_back: float) -> None:
         self._hold_ns = round(hold_back * NANOSECONDS)
-        self._held: list[tuple[int, V]] = []
+        # Stamp [ns], arrival [ns] and value of each sample.
+        self._held: list[tuple[int, int, V]] = []
         self._released: int | None = None
+        self._late_in_a_row = 0
+        # Arrival [ns] of the last numbered sample.
+        self._arrival_ns = 0
         self.clock = ArrivalClock()
         self.counts = dict.fromkeys(_COUNTS, 0)
         self.period = math.nan
@@ -95,38 +104,70 @@ class StampedChannel(Generic[V]):
             counts["not_finite"] += 1
             return []
         self.clock.add(stamp_ns, arrival_ns)
-        if self._released is not None and self._released - stamp_ns >= LATE_NS:
+        certain: list[NumberedSample[V]] = []
+        behind_ns = 0 if self._released is None else self._released - stamp_ns
+        if behind_ns >= LATE_NS or (behind_ns > 0 and self._late_in_a_row >= _SET_BACK):
             counts["jumps"] += 1
             held.clear()
-        elif self._released is not None and stamp_ns < self._released:
+            certain = self._number_anew(self._late_in_a_row)
+        elif behind_ns > 0:
             counts["late"] += 1
+            self._late_in_a_row += 1
             return []
+        self._late_in_a_row = 0
         place = bisect_left(held, stamp_ns, key=lambda item: item[0])
+        if stamp_ns == self._released and not held and self._is_other(value):
+            # The stamps are frozen: the count gives the time.
+            return self._count_on(value)
         if stamp_ns == self._released or (place < len(held) and held[place][0] == stamp_ns):
             counts["repeated"] += 1
             return []
-        held.insert(place, (stamp_ns, value))
-        certain: list[NumberedSample[V]] = []
+        held.insert(place, (stamp_ns, arrival_ns, value))
         while held and held[-1][0] - held[0][0] >= self._hold_ns:
-            self._released, value = held.pop(0)
-            certain += self._number(self._released, value)
+            self._released, arrived_ns, value = held.pop(0)
+            certain += self._number(self._released, arrived_ns, value)
+            self._arrival_ns = arrived_ns
         return certain
 
-    def _number(self, stamp_ns: int, value: V) -> list[NumberedSample[V]]:
+    def _is_other(self, value: V) -> bool:
+        """Whether a value differs from the last one, whose index is known."""
+        return bool(self._waiting) and value != self._waiting[-1][0].value
+
+    def _count_on(self, value: V) -> list[NumberedSample[V]]:
+        """Number a value whose stamp is that of the last one."""
+        assert self._clock is not None
+        time_ns = self._clock.at(self._next)
+        self._waiting.append((NumberedSample(self._next, time_ns, time_ns, value), 0.0))
+        self._next += 1
+        return self._certain()
+
+    def _pause_ns(self, stamped_ns: int, waited_ns: int) -> int:
+        """Length of a pause [ns] by the stamps and by the arrivals: the shorter one counts."""
+        return min(stamped_ns, waited_ns)
+
+    def _number_anew(self, lost: int) -> list[NumberedSample[V]]:
+        """Forget the clock of the stamps after ``lost`` samples; returns the samples that wait."""
+        certain = [sample for sample, _ in self._waiting]
+        if self._clock is not None:
+            self.counts["lost"] += lost
+            self._next += lost
+        self._doubts.clear()
+        self._clock, self._waiting, self._begun = None, [], []
+        return certain
+
+    def _number(self, stamp_ns: int, arrival_ns: int, value: V) -> list[NumberedSample[V]]:
         """Number the next sample; returns the samples whose index is now certain."""
         certain: list[NumberedSample[V]] = []
         if self._clock is not None:
             late_ns = stamp_ns - self._clock.at(self._next)
             doubtful = sum(self._doubts) > _LARGEST_UNTIMELY_PART * _ENOUGH
+            # If the samples have not paused for so long, the clock of the stamps was set.
+            passed_ns = self._pause_ns(late_ns, arrival_ns - self._arrival_ns)
+            leapt = late_ns > PAUSE_NS and passed_ns < 0.5 * late_ns
             # After a longer silence, the clock is too uncertain to count lost samples.
-            if abs(late_ns) < LATE_NS and not doubtful:
+            if abs(late_ns) < LATE_NS and not doubtful and not leapt:
                 return self._place(stamp_ns, value, late_ns / (self.period * NANOSECONDS))
-            self._doubts.clear()
-            certain = [sample for sample, _ in self._waiting]
-            skipped = max(round(late_ns / (self.period * NANOSECONDS)), 0)
-            self.counts["lost"] += skipped
-            self._next += skipped
-            self._clock, self._waiting = None, []
+            certain = self._number_anew(max(round(passed_ns / (self.period * NANOSECONDS)), 0))
         self._begun.append((stamp_ns, value))
         since_ns = stamp_ns - self._begun[0][0]
         if len(self._begun) >= _ENOUGH or (len(self._begun) >= _STRETCH and since_ns >= LATE_NS):
@@ -173,6 +214,12 @@ class StampedChannel(Generic[V]):
         clock.learn(self._next, stamp_ns)
         waiting.append((NumberedSample(self._next, clock.at(self._next), stamp_ns, value), late))
         self._next += 1
+        return self._certain()
+
+    def _certain(self) -> list[NumberedSample[V]]:
+        """The waiting samples whose index is now certain."""
+        clock, waiting = self._clock, self._waiting
+        assert clock is not None
         # After an undetected loss all stamps are late, so a stamp that is not late excludes a loss.
         if len(waiting) <= _WAITING or all(late >= 0.5 - _MARGIN for _, late in waiting):
             return []
@@ -276,11 +323,11 @@ class ChannelJoin:
 
     def lead(self, stamp_ns: int, arrival_ns: int, value: float) -> None:
         """Add a value of the leader."""
-        self._leading.extend(self.leader.add(stamp_ns, arrival_ns, value))
+        _extend(self._leading, self.leader.add(stamp_ns, arrival_ns, value))
 
     def follow(self, stamp_ns: int, arrival_ns: int, value: float) -> None:
         """Add a value of the follower."""
-        self._following.extend(self.follower.add(stamp_ns, arrival_ns, value))
+        _extend(self._following, self.follower.add(stamp_ns, arrival_ns, value))
 
     def take(self) -> list[JoinedRun]:
         """The samples that can be joined now."""
@@ -334,6 +381,14 @@ class ChannelJoin:
         """Times [ns] after ``base`` and values of the samples, shape (2, n)."""
         rows = [(s.stamp_ns if self._at_stamps else s.time_ns, s.value) for s in samples]
         return np.array([(time - base, value) for time, value in rows], dtype=np.float64).T
+
+
+def _extend(waiting: deque[NumberedSample[float]], added: list[NumberedSample[float]]) -> None:
+    """Append samples; those from before a leap of their clock are dropped."""
+    for sample in added:
+        if waiting and not 0 <= sample.time_ns - waiting[-1].time_ns < LATE_NS:
+            waiting.clear()
+        waiting.append(sample)
 
 
 def interpolated(

@@ -9,7 +9,8 @@ Every interruption has a name and is handled in the same way everywhere:
 - a *gap* (more samples lost, the source paused or restarted): the windows and the motion restart;
 - a *jump back* (a bag that loops, a clock that was set): the windows and the motion restart;
 - a *repeat* (samples that were received before, or already count as lost): ignored;
-- a *changed period*: the windows and the motion restart.
+- a *changed period*: the windows and the motion restart;
+- *frozen* stamps (the count continues, the stamp does not change): the count gives the time.
 
 None of them changes identified parameters.
 """
@@ -176,9 +177,12 @@ class Placed:
     for "first", "next" and "bridged". The first ``bridged`` samples of the block were not measured.
 
     The block excludes samples that arrived before; for a repeat, it is the arriving block.
-    ``stamp_ns`` is the time of the first measured value: its own stamp, unless the values were
-    moved on the time axis. If so, ``measured`` holds a measured force (n,) [N] for each sample, and
-    the time (n,) from the sample to this force in sample periods; otherwise it is None.
+    ``stamp_ns`` is the time of the first measured value: its own stamp, unless the stamps are
+    frozen or the values were moved on the time axis. In the latter case, ``measured`` holds a
+    measured force (n,) [N] for each sample, and the time (n,) from the sample to this force in
+    sample periods; otherwise it is None.
+    ``leap_ns`` is the time by which the stamps of a "gap" or "jump_back" leapt more than the count:
+    a clock was set or, after a gap, the source paused. It is 0 if the count was set back.
     """
 
     kind: str
@@ -187,6 +191,7 @@ class Placed:
     stamp_ns: int
     bridged: int = 0
     measured: tuple[Array, Array] | None = None
+    leap_ns: int = 0
 
     @property
     def restarts(self) -> bool:
@@ -218,6 +223,10 @@ class UniformGrid:
         self.last: SampleBlock | None = None
         """The last block on the grid."""
         self._clock: StampClock | None = None
+        # Stamp of the last block as it arrived.
+        self._stamp_ns = 0
+        # Time since the stamps are frozen, 0 if they are not.
+        self._frozen_ns = 0
         self._sampling = NonUniformSampling()
         # The latest blocks, each with the delay of its samples [sample periods].
         self._past: deque[tuple[SampleBlock, float]] = deque(maxlen=_NEIGHBOURS)
@@ -270,7 +279,7 @@ class UniformGrid:
             changed = f"the sample period changed from {last.period:.9g} s to {block.period:.9g} s"
             return "changed_period", 0, f"{changed} (every block must state the nominal period)"
         due_ns = self._clock.at(_end(last))
-        late_ns = block.start_ns - due_ns
+        late_ns = 0 if self._is_frozen(block) else block.start_ns - due_ns
         late = late_ns / NANOSECONDS
         missing = block.sequence - _end(last)
         # Difference between the stamp and the time that follows from the count.
@@ -299,8 +308,23 @@ class UniformGrid:
         why = "is the computer or network overloaded, or did the source omit them?"
         return "gap", missing, f"{missing} samples were lost ({why})"
 
+    def continued(self, stamp_ns: int) -> int:
+        """The time of a value of another channel, whose stamp is frozen if those of samples are."""
+        if self.last is None or stamp_ns > self._stamp_ns:
+            return stamp_ns
+        return stamp_ns + self._frozen_ns
+
+    def _is_frozen(self, block: SampleBlock) -> bool:
+        """Whether a block continues the count with the stamp of the last block."""
+        return (
+            self.last is not None
+            and block.start_ns == self._stamp_ns
+            and block.sequence == _end(self.last)
+        )
+
     def _place(self, block: SampleBlock, verdict: _Verdict) -> Placed:
         kind, lost, sentence = verdict
+        frozen = self._is_frozen(block)
         restarts = kind in _RESTARTS
         if sentence:
             sentence += ": windows and motion restart" if restarts else ""
@@ -309,20 +333,29 @@ class UniformGrid:
         if kind == "repeat":
             self.repeated_samples += block.sample_count
             return Placed(kind, sentence, block, block.start_ns)
+        self._stamp_ns, self._frozen_ns = block.start_ns, 0
         self.lost_samples += lost
         if restarts or self._clock is None:
+            leap_ns = 0
+            counts_on = self.last is not None and block.sequence >= _end(self.last)
+            if kind in ("gap", "jump_back") and counts_on and self._clock is not None:
+                leap_ns = block.start_ns - self._clock.at(block.sequence)
             self._clock = StampClock(block.sequence, block.start_ns, block.period)
             self._sampling = NonUniformSampling(self._sampling.found)
             self._past.clear()
             self.last = block
             self._past.append((block, 0.0))
-            return Placed(kind, sentence, block, block.start_ns)
+            return Placed(kind, sentence, block, block.start_ns, leap_ns=leap_ns)
         assert self.last is not None
+        if frozen:
+            self._frozen_ns = self._clock.at(block.sequence) - block.start_ns
+            block = replace(block, start_ns=block.start_ns + self._frozen_ns)
         known = _end(self.last) - block.sequence
         if known > 0:
             self.repeated_samples += known
             block = block.part(known)
-        self._clock.learn(block.sequence, block.start_ns)
+        if not frozen:
+            self._clock.learn(block.sequence, block.start_ns)
         late = (block.start_ns - self._clock.at(block.sequence)) / (block.period * NANOSECONDS)
         if self._settings.stamps == "auto" and (abs(late) > _EVEN or self._sampling.found):
             self._sampling.learn(block.sequence, late, block.displacement)

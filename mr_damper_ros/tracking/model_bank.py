@@ -118,6 +118,12 @@ class KnownSet:
         stamp = None if self.confirmed_ns is None else stamp_ns
         return replace(self, confirmed_ns=stamp, currents=_joined(self.currents, currents))
 
+    def after_leap(self, leap_ns: int) -> KnownSet:
+        """Return the set, now that the clock of the stamps leapt by this time."""
+        if self.confirmed_ns is None:
+            return self
+        return replace(self, confirmed_ns=self.confirmed_ns + leap_ns)
+
 
 def within(current: float, span: Span) -> bool:
     """Whether a current [A] lies in a range, widened by the tolerance of equal currents."""
@@ -336,6 +342,15 @@ class ModelBank:
         if high - low <= 2.0 * SAME_CURRENT:
             others = [each for each in self._at_currents if not each.fits_at(0.5 * (low + high))]
             self._at_currents = [replace(known, currents=currents), *others][: 2 * _MOST_SETS]
+
+    def follow_leap(self, leap_ns: int) -> None:
+        """Keep the age of the sets, because the clock of the stamps leapt by this time."""
+        self._sets = [each.after_leap(leap_ns) for each in self._sets]
+        self._at_currents = [each.after_leap(leap_ns) for each in self._at_currents]
+        self._whole = self._whole and self._whole.after_leap(leap_ns)
+        self._found = self._found and self._found.after_leap(leap_ns)
+        if self._newest_ns is not None:
+            self._newest_ns += leap_ns
 
     def follow_current(self, current: float, now_ns: int) -> None:
         """Apply the current schedule to a current [A] at the samples up to a stamp."""

@@ -164,6 +164,8 @@ class ForcePredictor:
         """The uniform grid, which tracks gaps and repeats of the blocks."""
         self.freshness = Freshness(settings.max_age)
         """The age of the samples."""
+        # Time [ns] by which the stamps leapt ahead, while it may also be a pause.
+        self._leap_ns = 0
         self._refused = RefusedWindows()
         # These three restart with the first block and after a gap in the motion.
         self._motion: MotionFollower | None = None
@@ -237,7 +239,7 @@ class ForcePredictor:
 
     def add_current(self, stamp_ns: int, current: float) -> None:
         """Add a value of the supply current [A]; raises CurrentError if it is not finite."""
-        self._current.add(stamp_ns, current)
+        self._current.add(self.sequence.continued(stamp_ns), current)
 
     def current_at(self, stamp_ns: int) -> float:
         """Supply current [A] at a stamp; NaN if unknown."""
@@ -328,9 +330,10 @@ class ForcePredictor:
             velocity = np.full(whole.sample_count, np.nan)
             part = _Part.unknown(velocity, DoubtKind.REPEATED, placed.sentence)
             return self._prediction(placed, [part])
-        if placed.kind == "jump_back":
+        if placed.kind == "jump_back" and not placed.leap_ns:
             self._current.follow_jump()
             self.freshness.restart()
+        self._follow_leap(placed.leap_ns, whole, now_ns)
         stale = self.freshness.judge(whole.end_ns, now_ns)
         lost_sight = self._motion is not None and self._motion.lost_sight(bridged * whole.period)
         if self._motion is None or placed.restarts or lost_sight:
@@ -345,6 +348,14 @@ class ForcePredictor:
             for first, end in pairwise([0, *ends])
         ]
         return self._prediction(placed, parts)
+
+    def _follow_leap(self, leap_ns: int, block: SampleBlock, now_ns: int | None) -> None:
+        """Let all ages continue after a leap of the stamps before this block, or an earlier one."""
+        self._leap_ns += leap_ns
+        if self._leap_ns and self.freshness.follow_leap(self._leap_ns, block.end_ns, now_ns):
+            self._current.follow_leap(self._leap_ns, block.end_ns)
+            self._bank.follow_leap(self._leap_ns)
+            self._leap_ns = 0
 
     def _prediction(self, placed: Placed, parts: list[_Part]) -> Prediction:
         """The prediction for the samples that arrived, from the parts of their block in order."""

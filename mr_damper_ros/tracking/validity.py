@@ -110,8 +110,8 @@ class ValiditySettings(CheckedSettings):
         0.5,
         "Age of samples [s], by the clock of this computer, after which their force is "
         "invalid: the computer is overloaded, or the clocks differ. It is checked only if the "
-        "stamps are within a minute of the clock, so not for a played recording. 0: no limit, "
-        "for example to replay a very recent recording at another rate.",
+        "stamps are within a minute of the clock, and not in simulated time, so not for a played "
+        "recording. 0: no limit, for example to replay a very recent recording at another rate.",
         within=(0.0, 3600.0),
     )
     current_timeout: float = option(
@@ -288,10 +288,11 @@ class Freshness:
 
     A played recording has the stamps of the original measurement, which give no age. A stream
     therefore counts as live once its stamps have been within a minute of the clock. It stays live
-    until the stamps jump back, so that it also counts as live on an overloaded computer.
+    until it restarts, so that it also counts as live on an overloaded computer.
 
     ``max_age`` [s] is the limit; with 0 there is no limit and no stream counts as live. ``age`` [s]
-    is the age of the last samples, NaN if they are not live.
+    is the age of the last samples, NaN if they are not live. The clock must not be set: a leap is
+    then one of the stamps.
     """
 
     def __init__(self, max_age: float) -> None:
@@ -302,10 +303,29 @@ class Freshness:
         """Decide again whether the stream is live, because the stamps have jumped back."""
         self.live = False
         self.age = math.nan
+        # Time by which the stamps have leapt since the stream became live.
+        self._ahead_ns = 0
 
-    def are_older(self, stamp_ns: int, now_ns: int, limit: float) -> bool:
+    def follow_leap(self, leap_ns: int, stamp_ns: int, now_ns: int | None) -> bool:
+        """Whether the clock of the stamps leapt; then the age of the samples continues.
+
+        ``leap_ns`` is the time by which the samples up to the stamp, or earlier ones, are stamped
+        later than their count says. If it is positive, the source may have paused instead: then the
+        samples are not too new.
+        """
+        if self.live and now_ns is not None:
+            age_ns = now_ns - stamp_ns + self._ahead_ns
+            too_old = abs(age_ns) > self.max_age * NANOSECONDS
+            if too_old and abs(age_ns + leap_ns) < abs(age_ns):
+                self._ahead_ns += leap_ns
+                return True
+        return leap_ns < 0
+
+    def are_older(self, stamp_ns: int, now_ns: int | None, limit: float) -> bool:
         """Whether live samples up to the stamp are older than the limit [s]."""
-        return self.live and (now_ns - stamp_ns) / NANOSECONDS > limit
+        if not self.live or now_ns is None:
+            return False
+        return (now_ns - stamp_ns + self._ahead_ns) / NANOSECONDS > limit
 
     def judge(self, stamp_ns: int, now_ns: int | None) -> str:
         """Why samples up to the stamp are too old or in the future; empty if they are neither.
@@ -314,7 +334,7 @@ class Freshness:
         """
         if now_ns is None or self.max_age == 0.0:
             return ""
-        age = (now_ns - stamp_ns) / NANOSECONDS
+        age = (now_ns - stamp_ns + self._ahead_ns) / NANOSECONDS
         self.live = self.live or abs(age) <= _LIVE
         if not self.live:
             return ""

@@ -190,6 +190,9 @@ class WindowAssembler:
         if placed.kind == "jump_back":
             # The waiting windows belong to the time before the jump.
             self._waiting.clear()
+        if placed.leap_ns:
+            self._current.follow_leap(placed.leap_ns, block.end_ns)
+        elif placed.kind == "jump_back":
             self._current.follow_jump()
         force, after = placed.measured or (block.force, 0.0)
         if self._end == 0:
@@ -208,7 +211,7 @@ class WindowAssembler:
 
         Raises CurrentError if the current is not finite.
         """
-        self._current.add(stamp_ns, current)
+        self._current.add(self.sequence.continued(stamp_ns), current)
         return self._ready()
 
     def add_temperature(self, celsius: float) -> None:

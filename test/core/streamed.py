@@ -42,7 +42,8 @@ class Streamed:
 
     @property
     def fault(self) -> str:
-        return self.source.state().fault
+        found = self.source.state().finding
+        return "" if found is None else found.sentence
 
     @property
     def samples(self) -> int:

@@ -55,7 +55,7 @@ def test_a_channel_at_the_end_of_its_range_is_left_out_and_told(
     made.until(lambda: np.diff(made.numbers()).max(initial=1) > 1)
     assert np.abs(made.joined("force")).max() < 6.0
     state = made.source.state()
-    assert "the force is at the end of its range of 6 V" in state.fault
+    assert "the force is clipped at the end of its range of 6 V" in state.finding.sentence
     assert state.values["force at the end of its range"]
     assert state.values["displacement at the end of its range"] == 0
 

@@ -20,8 +20,10 @@ from hypothesis import strategies as st
 from streamed import START, Streamed, source_of
 from waiting import until
 
+from mr_damper_ros.data_check.findings import Kind
 from mr_damper_ros.rig.blocks import BlockMaker, Measured
 from mr_damper_ros.rig.sources.device_source import (
+    CountedRows,
     DeviceReader,
     HostClock,
     Portions,
@@ -243,6 +245,35 @@ def test_a_sender_of_garbage_is_told_and_given_nothing(
     assert running.blocks == []
 
 
+def test_lines_that_end_by_carriage_returns_only_are_named(
+    serve: Callable[..., str], stream: Callable[..., Streamed]
+) -> None:
+    running = stream(serve(sends(lines(0, 1000).replace(b"\n", b"\r"))))
+    running.until(lambda: "without a line feed, but with carriage returns" in running.fault)
+    assert running.blocks == []
+
+
+def test_carriage_returns_before_line_feeds_are_no_fault(
+    serve: Callable[..., str], stream: Callable[..., Streamed]
+) -> None:
+    rows = lines(0, 1000).replace(b"\n", b"\r\n")
+    running = stream(serve(sends(rows[:5000], rows[5000:])))
+    running.until(up_to(running, 980.0))
+    assert running.fault == ""
+
+
+def test_a_rate_far_from_the_stated_one_is_named_before_it_is_measured() -> None:
+    rows = CountedRows(500.0)
+    for k in range(100):
+        rows.add(None, 1_000_000 * k)
+    assert rows.being_checked
+    assert rows.finding(math.nan, math.nan) is None
+    assert rows.finding(505.0, math.nan) is None
+    found = rows.finding(1000.0, math.nan)
+    assert found is not None
+    assert found.kind is Kind.WRONG_RATE
+
+
 def test_garbage_between_lines_costs_no_more_than_what_it_hits(
     serve: Callable[..., str], stream: Callable[..., Streamed]
 ) -> None:
@@ -418,7 +449,7 @@ def test_a_wrong_unit_of_the_time_is_told() -> None:
     rows = StampedRows(1e-3)
     found = stamped(rows, [1.0 * k for k in range(40)])
     assert found == []
-    assert "is the unit of the time right?" in rows.fault()
+    assert rows.finding(math.nan, math.nan).kind is Kind.WRONG_TIME_UNIT
 
 
 @given(st.sets(st.integers(0, 60), min_size=1), st.integers(1, 12))

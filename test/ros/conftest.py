@@ -14,6 +14,7 @@ pytest.importorskip("rclpy", reason="these tests need ROS")
 
 from support import Listener, TriedProgram, installed_programs
 
+from mr_damper_ros.nodes.quality import use_profile
 from mr_damper_ros.processes.programs import RosDomain
 
 _DOMAIN = RosDomain()
@@ -23,10 +24,8 @@ _DOMAIN = RosDomain()
 os.environ.update(_DOMAIN.environment)
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 
-# As in env.bash: restarted nodes are discovered at once.
-if not os.environ.get("FASTDDS_DEFAULT_PROFILES_FILE"):
-    _PROFILE = Path(__file__).parents[2] / "config" / "fastdds.xml"
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(_PROFILE))
+# As the programs do, also in contexts that a test makes itself.
+use_profile()
 
 Start = Callable[..., TriedProgram]
 

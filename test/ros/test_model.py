@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from mr_damper_msgs.msg import DamperParameters, MtsSamples, PredictedForce
 from press import BAD_BLOCKS, BLOCK, Press, block_message
+from rosgraph_msgs.msg import Clock
 from support import Listener
 
 import mr_damper_ros as mr
@@ -28,6 +29,7 @@ from mr_damper_ros.nodes.messages import (
     parameter_set,
     parameters_message,
     to_nanoseconds,
+    to_stamp,
 )
 from mr_damper_ros.signals.recording import Recording
 
@@ -255,6 +257,25 @@ def test_refused_parameters_are_reported_and_change_nothing(
         assert status.level != b"\x00"
     predicted = rig.run(recording)
     assert {f.parameter_set for f in predicted} == {"true"}
+    assert predicted[-1].valid
+
+
+def test_in_simulated_time_a_second_pass_of_a_bag_is_not_outdated(
+    start: Any, listener: Listener, recording: Recording
+) -> None:
+    end_ns = recording.stamp_ns(recording.sample_count)
+    latched = listener.node.create_publisher(
+        DamperParameters, "damper/parameters", quality.latched()
+    )
+    clock = listener.node.create_publisher(Clock, "/clock", 10)
+    rig = Rig(start, listener, use_sim_time=True)
+    # Set and clock are those of the end of the first pass.
+    confirmed = replace(TRUE_SET, stamp_ns=end_ns)
+    latched.publish(parameters_message(confirmed, "damper", "/test"))
+    listener.node.create_timer(0.1, lambda: clock.publish(Clock(clock=to_stamp(end_ns))))
+    listener.wait_for_finding("model: parameters", "predicting with true")
+    predicted = rig.run(recording)
+    assert PredictedForce.OUTDATED not in {code for f in predicted for code in f.sample_doubts}
     assert predicted[-1].valid
 
 

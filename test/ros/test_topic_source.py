@@ -1,6 +1,7 @@
 """Topics of other nodes become samples: one message or two topics, from a real process."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,13 @@ class Controller:
         )
         self.taken = 0
         self.skipped: set[int] = set()
+        self.force_is_measured = True
+        self.wrench_ahead = 0.0
+        """Error of the clock of the wrench [s]."""
+        self.wrench_delay = 0
+        """Largest number of timer periods by which the wrench arrives late; it varies slowly."""
+        self._waiting: list[tuple[int, WrenchStamped]] = []
+        self.also: Callable[[JointState], None] = lambda joints: None
         listener.until(
             lambda: all(
                 publisher.get_subscription_count() > 0
@@ -59,17 +67,19 @@ class Controller:
             # Millimetres, and positive in compression.
             joints.position = [0.0, -1e3 * float(displacement(time))]
             if self._wrench is None:
-                joints.effort = [0.0, -float(force(time))]
+                joints.effort = [0.0, -float(force(time)) if self.force_is_measured else math.nan]
             else:
                 # Its samples are taken 0.7 ms later.
                 late = time + 0.7e-3
-                self._wrench.publish(
-                    WrenchStamped(
-                        header=header(START_NS + round(1e9 * late), "cell"),
-                        wrench=Wrench(force=Vector3(x=-float(force(late)))),
-                    )
-                )
+                stamp_ns = START_NS + round(1e9 * (late + self.wrench_ahead))
+                wrench = WrenchStamped(header=header(stamp_ns, "cell"))
+                wrench.wrench = Wrench(force=Vector3(x=-float(force(late))))
+                turn = self.taken // 20
+                self._waiting.append((turn + turn // 50 % (self.wrench_delay + 1), wrench))
+                while self._waiting and self._waiting[0][0] <= turn:
+                    self._wrench.publish(self._waiting.pop(0)[1])
             self._joints.publish(joints)
+            self.also(joints)
 
 
 JOINTS: dict[str, object] = {
@@ -147,3 +157,50 @@ def test_a_field_that_is_not_in_the_messages_and_a_topic_of_nobody_are_told(
     listener.wait_for_finding("bridge: source", "nothing publishes /press/joints")
     Controller(listener)
     listener.wait_for_finding("bridge: source", "have no field effort[piston] for the force")
+
+
+def finding_of(status: Any) -> str:
+    """Name of the finding in a diagnostic."""
+    return {value.key: value.value for value in status.values}.get("finding", "")
+
+
+def test_an_effort_that_is_not_measured_is_named_once(start: Any, listener: Listener) -> None:
+    # joint_state_broadcaster without an effort interface publishes NaN.
+    bridge = start("bridge", **JOINTS)
+    controller = Controller(listener)
+    controller.force_is_measured = False
+    found = listener.wait_for_finding("bridge: source", "values of the force are not finite")
+    assert finding_of(found) == "not_finite"
+    listener.wait_for_finding("bridge: source", "values of the force are not finite")
+    assert bridge.log.count("values of the force are not finite") == 1
+
+
+def test_a_wrench_in_simulated_time_is_named(start: Any, listener: Listener) -> None:
+    start("bridge", **WRENCH)
+    controller = Controller(listener, two_topics=True)
+    controller.wrench_ahead = -1e9
+    found = listener.wait_for_finding("bridge: source", "stamps of the force are 1e+09 s away")
+    assert finding_of(found) == "clocks_apart"
+
+
+def test_a_second_publisher_is_named_by_its_values(start: Any, listener: Listener) -> None:
+    start("bridge", **JOINTS)
+    controller = Controller(listener)
+    other = listener.node.create_publisher(JointState, "press/joints", quality.stream())
+    controller.also = lambda joints: other.publish(
+        JointState(header=joints.header, name=joints.name, position=[0.0, 0.0], effort=[0.0, 0.0])
+    )
+    found = listener.wait_for_finding("bridge: source", "is published by /listener and /listener")
+    assert finding_of(found) == "several_publishers"
+
+
+def test_a_delayed_wrench_is_no_drift_and_not_shifted(start: Any, listener: Listener) -> None:
+    samples = listener.listen(MtsSamples, "mts/samples")
+    bridge = start("bridge", block_size=10, **WRENCH)
+    controller = Controller(listener, two_topics=True)
+    controller.wrench_delay = 3
+    listener.until(lambda: count(samples) >= 6000, "twelve seconds of samples")
+    time, moved, pulled = parts(samples)
+    np.testing.assert_allclose(pulled, force(time), atol=0.05)
+    np.testing.assert_allclose(moved, displacement(time), atol=1e-7)
+    assert "[WARN]" not in bridge.log

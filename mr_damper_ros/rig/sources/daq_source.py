@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mr_damper_ros.data_check.findings import Finding, Kind
 from mr_damper_ros.rig.blocks import Measured
 from mr_damper_ros.rig.sources.device_source import (
     POLL,
@@ -337,7 +338,7 @@ class DaqSource(DeviceSource[Readings]):
         driver = DRIVERS[given.driver]
         self._connect = driver.connector(given)
         self._name = given.device or driver.what
-        self.silence = f"no samples arrive from {given.driver} {given.device}"
+        self.sender = f"{given.driver} {given.device}".strip()
         self.counted = (*(f"{name} {SATURATED}" for name in given.used), _MISSING)
         return [
             f"{given.driver} {given.device}: "
@@ -371,10 +372,11 @@ class DaqSource(DeviceSource[Readings]):
             )
         return channels
 
-    def _fault_of(self, new: Counter[str]) -> str:
+    def _finding_of(self, counts: Counter[str]) -> Finding | None:
         for name, each in self.settings.used.items():
-            count = new[f"{name} {SATURATED}"]
-            if count:
-                end = f"{SATURATED} of {each.range:g} V"
-                return f"the {name} is {end}: {count} samples of it were omitted"
-        return ""
+            if count := counts[f"{name} {SATURATED}"]:
+                how = f" {SATURATED} of {each.range:g} V, and {count} samples were omitted"
+                return Kind.CLIPPED.found(name, value=count, how=how)
+        if counts[_MISSING]:
+            return Kind.NOT_FINITE.found("samples", count=counts[_MISSING])
+        return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
@@ -12,6 +13,8 @@ from contextlib import closing, suppress
 from importlib import import_module
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
+from mr_damper_ros.data_check.findings import Finding, Kind
+from mr_damper_ros.data_check.stream_watch import StreamWatch
 from mr_damper_ros.rig.blocks import BlockMaker, Measured
 from mr_damper_ros.rig.sources.source import Source, SourceState
 from mr_damper_ros.signals.blocks import NANOSECONDS, SILENCE, RigBlock
@@ -20,6 +23,10 @@ from mr_damper_ros.signals.stamped_channel import StampedChannel
 
 _WRONG_RATE = 0.02
 """Relative rate error of a sender's clock above which its time unit must be wrong."""
+
+_FAR = 0.25
+"""Relative error of a rate or of a sender's clock that a second of arrivals shows. Arrivals in
+bursts change the rate of so short a time by up to a fifth."""
 
 _LARGEST_ADVANCE, _LARGEST_STEP_BACK = 10.0, 1.0
 """Largest plausible jumps [s] of a stamp: ahead of the elapsed time, and backwards."""
@@ -48,17 +55,28 @@ class CountedRows(CountedTimes):
         index = self.add(row.number, arrival_ns)
         return [] if index is None else [(index, self.time_ns(index), row.measured)]
 
-    def fault(self) -> str:
-        """The fault of the times, as a sentence; empty without a fault."""
+    def finding(self, rate: float, speed: float) -> Finding | None:
+        """What is wrong with the times; ``rate`` [Hz] is that of the last arrivals, or NaN.
+
+        ``speed``: seconds of the sender's time per second, NaN without them.
+        """
         stated = 1.0 / self.period
         if self.rate_is_wrong:
-            return (
-                f"the samples arrive at {stated * (1.0 + self.rate_error):.4g} Hz instead of the "
-                f"stated {stated:g} Hz, so they are not used: correct the rate"
-            )
+            return Kind.WRONG_RATE.found(rate=stated * (1.0 + self.rate_error), stated=stated)
+        if self.being_checked and abs(rate / stated - 1.0) > _FAR:
+            return Kind.WRONG_RATE.found(rate=rate, stated=stated)
+        return None
+
+    @property
+    def doing(self) -> str:
+        """What the times wait for, as a sentence; empty if they are known."""
+        stated = 1.0 / self.period
         if self.being_checked:
             return f"checking whether the samples arrive at the stated {stated:g} Hz"
         return ""
+
+    newest_ns = None
+    """Time of the newest row by the sender [ns]; there is none."""
 
     def figures(self) -> Mapping[str, object]:
         """The counts of received, lost and unusable rows."""
@@ -92,15 +110,25 @@ class StampedRows(StampedChannel[Measured]):
 
     interrupted = skip
 
-    def fault(self) -> str:
-        """The fault of the times, as a sentence; empty without a fault."""
+    doing = ""
+
+    @property
+    def newest_ns(self) -> int:
+        """Time of the newest row by the sender [ns]."""
+        return 0 if self._last is None else round(self._last[0] * NANOSECONDS)
+
+    def finding(self, rate: float, speed: float) -> Finding | None:
+        """What is wrong with the times, as :meth:`CountedRows.finding`."""
         if self._rate_is_wrong:
-            times = 1.0 / max(1.0 + self.clock.rate, 1e-9)
-            return (
-                f"the sender's clock runs {times:.3g} times as fast as this computer's: is the "
-                "unit of the time right?"
-            )
-        return ""
+            speed = 1.0 / max(1.0 + self.clock.rate, 1e-9)
+            return Kind.WRONG_TIME_UNIT.found(speed=speed)
+        if not 1.0 - _FAR < speed < 1.0 + _FAR and not math.isnan(speed):
+            return Kind.WRONG_TIME_UNIT.found(speed=speed)
+        return None
+
+    def _pause_ns(self, stamped_ns: int, waited_ns: int) -> int:
+        """Length of a pause [ns]: the sender's time counts, because leaps were already removed."""
+        return stamped_ns
 
     @property
     def _rate_is_wrong(self) -> bool:
@@ -134,6 +162,9 @@ RowTimes = CountedRows | StampedRows
 
 
 T = TypeVar("T")
+
+_ROWS = "rows"
+"""Name of the channel on which the rows of a device arrive."""
 
 _MOST_WAITING = 256
 """Largest number of waiting portions; while the queue is full, the device is not read."""
@@ -176,8 +207,8 @@ class DeviceReader(Generic[T]):
         self._waiting: queue.Queue[Portion[T]] = queue.Queue(_MOST_WAITING)
         self._ended = threading.Event()
         self.connections = 0
-        self.fault = "not connected yet"
-        """The reason why there is no connection, as a sentence; empty while connected."""
+        self.fault = ""
+        """The reason why there is no connection, as a sentence; empty while it is being made."""
         self._thread = threading.Thread(target=self._run, name="device", daemon=True)
         self._thread.start()
 
@@ -269,8 +300,8 @@ class DeviceSource(Source, Generic[T]):
     _name: str
     """Connects to the device of this name; both are set by :meth:`open`."""
 
-    silence: str
-    """The fault of a device that sends nothing, as a sentence."""
+    sender: str
+    """What sends the data, in words; set by :meth:`open`."""
 
     _reader: DeviceReader[T] | None = None
     _times: RowTimes | None = None
@@ -287,13 +318,14 @@ class DeviceSource(Source, Generic[T]):
         """
 
     @abstractmethod
-    def _fault_of(self, new: Counter[str]) -> str:
-        """The fault shown by the counts since the last report, as a sentence; empty if none."""
+    def _finding_of(self, counts: Counter[str]) -> Finding | None:
+        """What the counts of the last second show."""
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
         """Connect, and yield the samples as they arrive."""
         self.close()
-        self._counts, self._reported = Counter(dict.fromkeys(self.counted, 0)), Counter[str]()
+        self._counts = Counter(dict.fromkeys(self.counted, 0))
+        self.watch = StreamWatch({_ROWS: self.sender}, block=self.stream.block_size)
         self._times = None
         self._heard = time.monotonic()
         self._reader = DeviceReader(self._connect, self._name)
@@ -301,17 +333,27 @@ class DeviceSource(Source, Generic[T]):
 
     def state(self) -> SourceState:
         """The state of the connection, of the samples and of their times."""
-        if self._reader is None:
-            return SourceState("", {})
-        new, self._reported = self._counts - self._reported, self._counts.copy()
-        fault = self._reader.fault
-        if not fault and time.monotonic() - self._heard > SILENCE:
-            fault = self.silence
+        if self._reader is None or self.watch is None:
+            return SourceState(None, {})
         values: dict[str, object] = {"connections": self._reader.connections, **self._counts}
-        if self._times is not None:
-            fault = fault or self._fault_of(new) or self._times.fault()
-            values |= self._times.figures()
-        return SourceState(fault, values)
+        times, doing = self._times, ""
+        if times is not None:
+            values |= times.figures()
+            doing = times.doing
+        return SourceState(self._finding(self._reader, self.watch), values, doing)
+
+    def _finding(self, reader: DeviceReader[T], watch: StreamWatch) -> Finding | None:
+        now, times = time.monotonic(), self._times
+        if reader.fault:
+            return Kind.NO_LINK.found(reason=reader.fault)
+        if now - self._heard > SILENCE:
+            return Kind.NO_DATA.found(sender=self.sender)
+        if times is None:
+            return None
+        found = self._finding_of(watch.counts(_ROWS, now)) or times.finding(*watch.pace(_ROWS, now))
+        if found or times.doing:
+            return found
+        return next(iter(watch.findings(now)), None)
 
     def close(self) -> None:
         """Release the device."""
@@ -321,6 +363,8 @@ class DeviceSource(Source, Generic[T]):
 
     def _stream(self, reader: DeviceReader[T], clock: HostClock) -> Iterator[RigBlock]:
         maker, connection = BlockMaker(self.stream.block_size), 0
+        watch = self.watch
+        assert watch is not None
         try:
             while True:
                 for portion in reader.take():
@@ -330,10 +374,12 @@ class DeviceSource(Source, Generic[T]):
                         self._times = self._new_times(portion.data)
                     elif begins:
                         self._times.interrupted()
+                    before, received = self._counts.copy(), 0
                     for row, arrival_ns in self._rows(portion, begins=begins):
                         if row is None:
                             self._times.skip()
                             continue
+                        received += 1
                         for number, time_ns, measured in self._times.timed(row, arrival_ns):
                             # Unusable samples are also numbered, so that they count as missing.
                             if measured.possible:
@@ -341,6 +387,11 @@ class DeviceSource(Source, Generic[T]):
                                 maker.add(number, stamp_ns, self._times.period, measured)
                             else:
                                 maker.cut()
+                    for what, count in (self._counts - before).items():
+                        watch.note(_ROWS, what, self._heard, count)
+                    if received:
+                        newest_ns = self._times.newest_ns
+                        watch.arrive(_ROWS, self._heard, newest_ns, 0.0, received)
                     # Yield within the loop, so that a long queue does not delay the end of the
                     # bridge.
                     yield from maker.take()

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
+from mr_damper_ros.data_check.findings import Finding
+from mr_damper_ros.data_check.stream_watch import StreamWatch
 from mr_damper_ros.rig.commander import CurrentCommander, MotionCommander
 from mr_damper_ros.settings.option_table import ParameterTable
 from mr_damper_ros.signals.blocks import RigBlock
@@ -21,10 +23,11 @@ class StreamSettings:
 
 
 class SourceState(NamedTuple):
-    """State of a source: its ``fault`` as a sentence (empty without a fault), and values."""
+    """State of a source: a ``finding`` (None without a fault), values, and what it is doing."""
 
-    fault: str
+    finding: Finding | None
     values: Mapping[str, object]
+    doing: str = ""
 
 
 class Source(ABC):
@@ -49,6 +52,9 @@ class Source(ABC):
 
     commander: CurrentCommander | None = None
     """Takes commands of the current while the source is open; None if it has no supply."""
+
+    watch: StreamWatch | None = None
+    """Watch of a live source, which the bridge tells what it has published."""
 
     mover: MotionCommander | None = None
     """Takes commands of the motion while the source is open; None if it takes no commands."""
@@ -75,7 +81,7 @@ class Source(ABC):
 
     def state(self) -> SourceState:
         """The state of the open source; the bridge calls this about once a second."""
-        return SourceState("", {})
+        return SourceState(None, {})
 
     @abstractmethod
     def close(self) -> None:

@@ -15,6 +15,7 @@ from functools import partial, reduce
 from operator import xor
 from typing import Any, NamedTuple
 
+from mr_damper_ros.data_check.findings import Finding, Kind
 from mr_damper_ros.io.columns import REST, SKIPPED, ColumnError, Columns, parse_columns
 from mr_damper_ros.rig.blocks import Measured
 from mr_damper_ros.rig.sources.device_source import (
@@ -124,6 +125,9 @@ def _whole(cell: float | bytes) -> int:
 _LONGEST_LINE = 1024
 """Largest number of bytes in a line of numbers."""
 
+_RETURNS = 3
+"""Number of carriage returns without a line feed from which they must be the ends of lines."""
+
 _LAYOUT = re.compile(r"[<>](?:\d*x|[bBhHiIqQefd])+")
 _SURE = 3
 """Number of records in a row that must match before the decoder is synchronised again."""
@@ -132,12 +136,14 @@ _SURE = 3
 class LineDecoder:
     """Decodes lines of numbers, separated by commas, semicolons, tabs or blanks.
 
-    A line with # is a comment. ``example`` is the last unreadable line, for messages.
+    A line with # is a comment. ``example`` is the last unreadable line, for messages. ``unended``
+    is the number of bytes, and ``returns`` of carriage returns, since the last line feed.
     """
 
     def __init__(self, form: RowFormat) -> None:
         self._form = form
         self.example = ""
+        self.unended = self.returns = 0
         self._rest = b""
         self._skips = True
 
@@ -148,6 +154,11 @@ class LineDecoder:
     def feed(self, data: bytes) -> list[Row | None]:
         """Add data; returns the rows of the complete lines, None for each unreadable one."""
         *lines, rest = (self._rest + data).split(b"\n")
+        if lines:
+            self.unended = self.returns = 0
+        tail = data.rpartition(b"\n")[2]
+        self.unended += len(tail)
+        self.returns += tail.count(b"\r")
         if self._skips and lines:
             self._skips = False
             del lines[0]
@@ -404,6 +415,14 @@ def _datagrams(address: LinkAddress) -> Portions[bytes]:
                 yield data or None
 
 
+_CARRIAGE_RETURNS = (
+    ", but with carriage returns (CR): let the sender end each line by a line feed (LF or CR LF)"
+)
+_NO_LINES = (
+    ": correct stream.baud, let the sender end each line by a line feed, or describe binary "
+    "records by stream.layout"
+)
+
 _MANY = 0.05
 """Fraction of unreadable rows above which a fault is reported."""
 
@@ -508,7 +527,7 @@ class StreamSource(DeviceSource[bytes]):
         if given.layout:
             self._decoder = RecordDecoder(self._form, given.layout, mark, given.check)
         self._name = given.address.partition(":")[2]
-        self.silence = f"nothing arrives from {given.address}: is its sender running?"
+        self.sender = given.address
         kind = f"records {given.layout}" if given.layout else "lines"
         return [f"{kind} from {given.address}: {given.columns}"]
 
@@ -528,11 +547,17 @@ class StreamSource(DeviceSource[bytes]):
             self._counts["readable" if row else "unreadable"] += 1
             yield row, portion.arrival_ns
 
-    def _fault_of(self, new: Counter[str]) -> str:
-        unread, total = new["unreadable"], new.total()
+    def _finding_of(self, counts: Counter[str]) -> Finding | None:
+        decoder = self._decoder
+        if isinstance(decoder, LineDecoder) and (
+            decoder.unended > _LONGEST_LINE or decoder.returns >= _RETURNS
+        ):
+            how = _CARRIAGE_RETURNS if decoder.returns >= _RETURNS else _NO_LINES
+            return Kind.NO_LINE_END.found(sender=self.sender, count=decoder.unended, how=how)
+        unread, total = counts["unreadable"], counts["unreadable"] + counts["readable"]
         if unread <= _MANY * total:
-            return ""
-        return (
-            f"{unread} of {total} rows cannot be read as {self.settings.columns}, such as "
-            f"'{self._decoder.example}'"
+            return None
+        columns = self.settings.columns
+        return Kind.UNREADABLE.found(
+            count=unread, whole=total, columns=columns, example=decoder.example
         )
