@@ -328,6 +328,15 @@ def test_fragments_shorter_than_a_cycle_are_left_out_and_said() -> None:
     assert [(each.kind, each.severity) for each in checked.findings] == [(Kind.FRAGMENT, NOTE)]
 
 
+@pytest.mark.parametrize("length", [30, 300])
+def test_a_run_shorter_than_a_cycle_is_left_out_beside_a_whole_one(length: int) -> None:
+    whole, fragment = recording(sound()), recording(sound(), slice(length), name="fragment")
+    found = mr.identify(fragment, whole, method="least_squares")
+    assert [run.name for run in found.runs] == ["run"]
+    told = [(each.kind, each.severity, each.source) for each in found.findings]
+    assert told == [(Kind.FRAGMENT, NOTE, "fragment")]
+
+
 def test_as_measured_keeps_fragments() -> None:
     whole, fragment = recording(sound()), recording(sound(), slice(300))
     assert len(check_run([fragment, whole], mend=False).sections) == 2
@@ -433,6 +442,24 @@ def test_a_zero_or_a_gain_that_changes_at_once_is_named(
     force = np.concatenate((given.force[:half], change(given.force[half:])))
     found = mr.identify(recording(replace(given, force=force)))
     assert kind in [each.kind for each in found.findings]
+
+
+def test_a_gain_that_changes_twice_is_named() -> None:
+    given = sound(name="random")
+    gain = np.select([TIME < 2.0, TIME < 4.5], [1.0, 0.7], 1.4)
+    found = mr.identify(recording(replace(given, force=gain * given.force)))
+    assert Kind.GAIN_CHANGES in [each.kind for each in found.findings]
+
+
+@pytest.mark.parametrize(("zero", "severity"), [(900.0, [WARN]), (15.0, [])])
+def test_a_zero_that_differs_between_runs_is_named(zero: float, severity: list[int]) -> None:
+    runs = [
+        recording(replace(sound(name=name), force=sound(name=name).force + offset), name=name)
+        for name, offset in (("slow", 0.0), ("fast", zero), ("random", 0.0))
+    ]
+    found = [each for each in mr.identify(runs).findings if each.kind is Kind.ZERO_DIFFERS]
+    assert [each.severity for each in found] == severity
+    assert all(each.source == "fast" for each in found)
 
 
 def test_a_steady_drift_is_no_step() -> None:
