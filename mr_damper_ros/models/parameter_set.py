@@ -57,6 +57,9 @@ class ParameterError(UserError):
     """A parameter set cannot be used; the message says what to change."""
 
 
+_SINE = np.arange(0.0, 2.0, 0.01)
+"""Times [cycles] at which a sine is sampled to find its largest force."""
+
 Moved = TypeVar("Moved", Motion, MotionSample, Window)
 
 _UNKNOWN = np.empty(0)
@@ -290,10 +293,29 @@ class ParameterSet:
         """
         return self.window_force(motion_window(time, displacement, current), gradual=None)
 
+    def largest_in_sine(self, peak_velocity: float, half_cycle: float, current: float) -> float:
+        """Largest force [N] in a sine of this peak velocity [m/s] at a current [A].
+
+        ``half_cycle`` [s] is that of the sine. Infinite if one of the two is not positive.
+        """
+        amplitude = peak_velocity * half_cycle / math.pi
+        if not amplitude > 0.0:
+            return math.inf
+        force = self.force(
+            2.0 * half_cycle * _SINE, amplitude * np.sin(2.0 * math.pi * _SINE), current
+        )
+        # The first half-cycle is a transient of a law with memory.
+        return float(np.max(np.abs(force[_SINE >= 0.5])))
+
     @property
     def has_evidence(self) -> bool:
         """Whether samples or a user support the set; a start set has no support."""
         return self.source not in START_SOURCES
+
+    def covers_currents(self, other: ParameterSet) -> bool:
+        """Whether the current range of the set includes that of the ``other`` set."""
+        (low, high), (its_low, its_high) = self.current_range, other.current_range
+        return low <= its_low + SAME_CURRENT and its_high - SAME_CURRENT <= high
 
     def as_given(self) -> ParameterSet:
         """The set as loaded by a user.

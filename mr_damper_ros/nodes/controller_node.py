@@ -14,11 +14,11 @@ from rclpy.duration import Duration
 from std_msgs.msg import Header
 
 from mr_damper_ros.control.force_controller import (
-    REMEDY,
     Command,
     ForceController,
     ForceControlSettings,
 )
+from mr_damper_ros.control.licence import REMEDY
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.block_node import BlockNode, SetOptions
 from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, DEMAND_TOPIC

@@ -29,6 +29,7 @@ from mr_damper_ros.signals.arrays import Array, Mask
 from mr_damper_ros.signals.blocks import KEEP_CURRENT, SampleBlock, ZeroOrderHold
 from mr_damper_ros.signals.uniform_grid import GridSettings, Placed, UniformGrid
 from mr_damper_ros.tracking.bumpless_transfer import ForceInUse
+from mr_damper_ros.tracking.candidate_sets import CandidateSets
 from mr_damper_ros.tracking.model_bank import ModelBank
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.residual_monitor import LoadCellZero, ResidualMonitor
@@ -143,8 +144,14 @@ _PART_TIME = 0.01
 and each part uses what was learnt from the previous part. A long block is therefore predicted as
 well as several short ones."""
 
-_SINE = np.arange(0.0, 2.0, 0.01)
-"""Times [cycles] at which a sine is sampled to find the largest force of a set."""
+_UNKNOWN_MOTION = (DoubtKind.SETTLING, DoubtKind.AT_REST)
+"""Reasons for which the motion does not determine the force."""
+
+_COMPARABLE = (
+    *(DoubtKind.NONE, DoubtKind.OUT_OF_RANGE, DoubtKind.TOO_LARGE, DoubtKind.DRIVING),
+    *(DoubtKind.WRONG, DoubtKind.REFUSED),
+)
+"""Reasons that concern the set, so that the measured force is evidence about other sets."""
 
 _AT_REST = "the damper is at rest: its force depends on how it came to rest"
 
@@ -153,10 +160,15 @@ class ForcePredictor:
     """Predicts the force of each block as it arrives."""
 
     def __init__(
-        self, settings: PredictorSettings | None = None, grid: GridSettings | None = None
+        self,
+        settings: PredictorSettings | None = None,
+        grid: GridSettings | None = None,
+        candidates: CandidateSets | None = None,
     ) -> None:
         settings = settings or PredictorSettings()
         self._settings = settings
+        self.candidates = candidates
+        """The sets that are predicted in the background, for a controller; None without one."""
         margin, measured = settings.velocity_margin, settings.maximum_error > 0.0
         self._bank = ModelBank(margin, gradual=settings.gradual_reversal, measured=measured)
         self._current = ZeroOrderHold(keep=KEEP_CURRENT)
@@ -216,6 +228,8 @@ class ForcePredictor:
         before = self._bank.present
         half_cycle = math.nan if self._motion is None else self._motion.centre.usual_half_cycle
         self._bank.add(parameters, confirmed_ns, half_cycle)
+        if self.candidates is not None:
+            self.candidates.add(parameters, given=confirmed_ns is None)
         if confirmed_ns is None:
             self._zero = LoadCellZero()
         if self._bank.present is not before:
@@ -277,8 +291,9 @@ class ForcePredictor:
         ``known`` says whether the motion determines the force. The force of the first ``bridged``
         samples was not measured.
         """
-        follower = self._motion
+        follower, parameters = self._motion, self.parameters
         assert follower is not None
+        assert parameters is not None
         half_cycle, part = follower.centre.usual_half_cycle, slice(bridged, None)
         if known:
             measured = np.where(np.arange(force.size) < bridged, np.nan, block.force)
@@ -290,7 +305,12 @@ class ForcePredictor:
             current[part],
             half_cycle,
             steady=follower.steady,
-            largest=partial(self._largest_force, half_cycle, motion, float(current[-1])),
+            largest=partial(
+                parameters.largest_in_sine,
+                float(motion.peak_velocity[-1]),
+                half_cycle,
+                float(current[-1]),
+            ),
         )
         allowed, sensible = self._monitor.allowed, self._newest_kind is not DoubtKind.SENSOR
         if self._bank.uses_given and sensible and allowed < math.inf:
@@ -301,18 +321,6 @@ class ForcePredictor:
             gradual = self._bank.gradual
             self._force.use(chosen.parameters, gradual=gradual, fade=True, restart=True)
             self._monitor.forget_error(error)
-
-    def _largest_force(self, half_cycle: float, motion: Motion, current: float) -> float:
-        """Largest force [N] of the set at a current, in a sine of the present half-cycle [s]."""
-        assert self.parameters is not None
-        time = 2.0 * half_cycle * _SINE
-        phase = 2.0 * math.pi * _SINE
-        amplitude = float(motion.peak_velocity[-1]) * half_cycle / math.pi
-        if not amplitude > 0.0:
-            return math.inf
-        force = self.parameters.force(time, amplitude * np.sin(phase), current)
-        # The first half-cycle is a transient of a law with memory.
-        return float(np.max(np.abs(force[_SINE >= 0.5])))
 
     # From a block to its force
 
@@ -380,6 +388,8 @@ class ForcePredictor:
         self._zero.restart()
         self._unlearned = None
         self._bank.forget_samples()
+        if self.candidates is not None:
+            self.candidates.restart()
 
     def _predict(self, block: SampleBlock, bridged: int, stale: str) -> _Part:
         assert self._motion is not None
@@ -406,6 +416,7 @@ class ForcePredictor:
         of_set = of_set + self._zero.follow(block.sample_count, block.period, counts=given)
         found = self._objections_to_set(block, bridged, motion, current, of_set)
         self._newest_kind = found[0].kind if found else DoubtKind.NONE
+        self._follow_candidates(block, bridged, motion, current)
         force = self._force.blended(of_set)
         if self._force.fading:
             arrived = force[bridged:], block.force[bridged:]
@@ -413,6 +424,26 @@ class ForcePredictor:
         if stale:
             found.append(Objection(DoubtKind.OUTDATED, stale))
         return _Part(force, motion.velocity, found, motion, current)
+
+    def _follow_candidates(
+        self, block: SampleBlock, bridged: int, motion: Motion, current: Array
+    ) -> None:
+        """Predict the sets in the background, and compare them with the measured force."""
+        candidates, follower = self.candidates, self._motion
+        if candidates is None:
+            return
+        assert follower is not None
+        assert self.parameters is not None
+        candidates.use(self.parameters)
+        if self._newest_kind in _UNKNOWN_MOTION:
+            candidates.restart()
+            return
+        candidates.follow(
+            *(motion, current, block.force[bridged:], self._monitor.recent, block.period),
+            follower.centre,
+            gradual=self._bank.gradual,
+            comparable=self._newest_kind in _COMPARABLE,
+        )
 
     def _objections_to_set(
         self, block: SampleBlock, bridged: int, motion: Motion, current: Array, force: Array

@@ -320,7 +320,7 @@ def test_a_coil_that_lags_is_not_hurried_by_currents_beyond_the_identified_ones(
 
 def test_a_prediction_that_the_measured_force_belies_commands_nothing() -> None:
     strong = PLAUSIBLE.copy()
-    strong[0] *= 2.0
+    strong[0] *= 3.0
     controller = controlled(WHOLE)
     command = after(controller, damper=EmulatedDamper(strong))
     assert command.doubt.kind is DoubtKind.WRONG
