@@ -476,7 +476,7 @@ class ForceController:
         if not fallback.lasts:
             approach.end()
         elif approach.under_way or held == safe:
-            step = approach.follow(doubt, self._licence.permit, safe, held, duration)
+            step = approach.follow(doubt, self._licence.permit, held, duration)
             if approach.under_way:
                 return fallback.approaching(held, approach.target, step)
         return fallback.away_from(held, duration)

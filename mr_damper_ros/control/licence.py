@@ -72,6 +72,11 @@ class Permit:
         return self.high - self.low
 
     @property
+    def nearest(self) -> float:
+        """The permitted current that is nearest to the safe one [A]."""
+        return min(max(self.safe, self.low), self.high)
+
+    @property
     def may_be_probed(self) -> bool:
         """Whether all currents from the safe one to ``near`` are permitted."""
         return self.low <= min(self.safe, self.near) and max(self.safe, self.near) <= self.high
@@ -244,9 +249,7 @@ class Approach:
         """Whether the current approaches the permitted range."""
         return not math.isnan(self.target)
 
-    def follow(
-        self, doubt: Doubt, permit: Permit | None, safe: float, current: float, duration: float
-    ) -> float:
+    def follow(self, doubt: Doubt, permit: Permit | None, current: float, duration: float) -> float:
         """Distance [A] by which the current may move in ``duration`` [s]; 0 without an approach.
 
         ``current`` [A] is the present command, ``doubt`` why control is not permitted.
@@ -263,8 +266,8 @@ class Approach:
             if self._pause > 0.0 or not (crosses or self._watched >= _WATCHED):
                 return 0.0
             if crosses:
-                self.target = min(max(safe, permit.low), permit.high) if self._rate else math.nan
-            elif permit.may_be_probed and permit.tolerates(safe):
+                self.target = permit.nearest if self._rate else math.nan
+            elif permit.may_be_probed and permit.tolerates(permit.safe):
                 self.target = permit.near
             if not self.under_way:
                 return 0.0

@@ -109,12 +109,15 @@ class ControlLoop:
 
 
 def settings(
-    feedback_gain: float = 0.0, safe_current: float = 0.0, **changes: float
+    feedback_gain: float = 0.0,
+    safe_current: float = 0.0,
+    crossing_rate: float = 0.0,
+    **changes: float,
 ) -> ForceControlSettings:
     """Settings of a controller that ignores the age of samples."""
     return ForceControlSettings(
         feedback=FeedbackSettings(feedback_gain=feedback_gain),
-        fallback=FallbackSettings(safe_current=safe_current),
+        fallback=FallbackSettings(safe_current=safe_current, crossing_rate=crossing_rate),
         predictor=PredictorSettings(max_age=0.0),
         **changes,
     )
@@ -277,6 +280,61 @@ def test_a_set_of_a_single_current_commands_nothing() -> None:
     command = after(controlled(replace(WHOLE, current_range=(0.0, 0.0))))
     assert command.doubt.kind is DoubtKind.OUT_OF_RANGE
     assert "several currents" in command.doubt.sentence
+
+
+def commands_of(controller: ForceController, damper: Damper, duration: float) -> list[Command]:
+    """The commands for a viscous damper in a sine."""
+    loop = ControlLoop(controller, damper, excitation=SineMotion(5e-3, 1.0))
+    return tracked(loop, 9e3, duration).commands
+
+
+def test_a_set_for_fewer_currents_takes_no_currents_away() -> None:
+    """It did once another set had replaced the given one, and was in use itself."""
+    controller = controlled(WHOLE)
+    commands_of(controller, EmulatedDamper(WHOLE), 0.5)
+    for name, highest in (("window", 2.0), ("global", 0.3)):
+        found = replace(WHOLE, set_id=name, source="global", current_range=(0.0, highest))
+        found = replace(found, observable=np.ones(found.values.size, dtype=bool))
+        stamp_ns = T0 + (NANOSECONDS if highest < 2.0 else 0)
+        controller.predictor.set_parameters(found, stamp_ns)
+    commands_of(controller, EmulatedDamper(WHOLE), 4.0)
+    assert controller.predictor.parameters is not None
+    assert controller.predictor.parameters.set_id == "global"
+    assert controller.highest_known == 2.0
+
+
+def test_control_does_not_start_from_a_safe_current_outside_the_set() -> None:
+    """Agreement at the safe current started it, and the current was driven up and fell again."""
+    far = replace(WHOLE, current_range=(1.0, 2.0))
+    commands = commands_of(controlled(far), EmulatedDamper(WHOLE), 5.0)
+    assert {each.current for each in commands} == {0.0}
+    assert "crossing_rate" in commands[-1].doubt.sentence
+
+
+def test_the_unknown_currents_are_crossed_once_at_the_stated_rate() -> None:
+    far = replace(WHOLE, current_range=(1.0, 2.0))
+    controller = controlled(far, crossing_rate=0.5)
+    commands = commands_of(controller, EmulatedDamper(WHOLE), 8.0)
+    currents = np.array([each.current for each in commands])
+    first = int(np.flatnonzero(currents >= 1.0 - 1e-6)[0])
+    assert max(np.diff(currents[:first])) <= 0.5 * BLOCK * PERIOD + 1e-9
+    assert min(currents[first:]) >= 1.0 - 1e-6
+    assert not commands[-1].doubt
+
+
+class Sticking(EmulatedDamper):
+    """It has friction that a current of 0.1 A hides."""
+
+    def force(self, motion: Any, current: Array, celsius: float, period: float) -> Array:
+        usual = super().force(motion, current, celsius, period)
+        friction = 60.0 * np.exp(-current / 0.05) * np.tanh(motion.velocity / 1e-3)
+        return np.asarray(usual + friction)
+
+
+def test_control_returns_although_the_force_is_wrong_at_the_safe_current() -> None:
+    commands = commands_of(controlled(WHOLE), Sticking(WHOLE), 12.0)
+    late = commands[len(commands) // 2 :]
+    assert np.mean([not each.doubt for each in late]) > 0.9
 
 
 def test_no_current_beyond_the_identified_ones_is_commanded() -> None:
