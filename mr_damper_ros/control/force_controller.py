@@ -477,6 +477,8 @@ class ForceController:
             approach.end()
         elif approach.under_way or held == safe:
             step = approach.follow(doubt, self._licence.permit, held, duration)
+            if approach.fault_ended:
+                self._candidates.forget_evidence()
             if approach.under_way:
                 return fallback.approaching(held, approach.target, step)
         return fallback.away_from(held, duration)

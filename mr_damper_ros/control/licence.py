@@ -213,6 +213,9 @@ _PROBE_TIME = 2.5
 _WATCHED = 1.0
 """Time [s] of wrong force at the safe current until a probe begins."""
 
+_FAULT_TIME = 1.5
+"""Time [s] of wrong force at the safe current that counts as a fault at all currents."""
+
 _PAUSES = (15.0, 60.0)
 """Time [s] until the next approach after the first one that found no right force; it doubles up to
 the second time."""
@@ -232,6 +235,8 @@ class Approach:
         self._rate = crossing_rate
         self._pause, self._next_pause = 0.0, _PAUSES[0]
         self.end()
+        self.fault_ended = False
+        """Whether the force at the safe current has just become right after it was wrong."""
 
     def end(self) -> None:
         """Return to the safe current."""
@@ -258,7 +263,9 @@ class Approach:
         if permit is None or permit.width <= 0.0 or (doubt and doubt.kind not in _APPROACHED):
             self.end()
             return 0.0
+        self.fault_ended = not (doubt or self.under_way) and self._watched >= _FAULT_TIME
         if not doubt:
+            self._watched = 0.0 if self.fault_ended else self._watched
             return 0.0
         crosses = doubt.kind is DoubtKind.OUT_OF_RANGE
         if not self.under_way:

@@ -48,6 +48,10 @@ _REFRESHED = 0.5
 """Time [s] after which the largest force of a set in the present motion is computed again."""
 
 
+_RECOVERED = 0.9
+"""A refuted current is right again below this part of the limit."""
+
+
 @dataclass
 class _Cell:
     """Samples of one cell: time [s], sums of squares of error and force [N² s], newest time [s]."""
@@ -56,6 +60,7 @@ class _Cell:
     error: float = 0.0
     force: float = 0.0
     newest: float = -math.inf
+    refuted: bool = False
 
 
 class EvidenceCell(NamedTuple):
@@ -113,15 +118,27 @@ class CurrentEvidence:
             cell = self._cells.setdefault(place, _Cell())
             here = places == place
             time = float(np.count_nonzero(here)) * period
-            kept = 0.0 if self._now - cell.newest > _EXPIRY else math.exp(-time / _MEMORY)
+            if self._now - cell.newest > _EXPIRY:
+                cell = self._cells[place] = _Cell()
+            kept = math.exp(-time / _MEMORY)
             sums = squares[:, here].sum(axis=1) * period
             cell.time = kept * cell.time + time
             cell.error = kept * cell.error + float(sums[0])
             cell.force = kept * cell.force + float(sums[1])
             cell.newest = self._now
+        self._judge()
+
+    def _judge(self) -> None:
+        """Judge the error at each current, relative to the largest force at any current."""
+        cells = self._proven.values()
+        force = max((cell.force / cell.time for cell in cells), default=0.0)
+        force = max(force, (_SMALLEST_PART * self._peak) ** 2)
+        for cell in cells:
+            limit = self._limit * (_RECOVERED if cell.refuted else 1.0)
+            cell.refuted = cell.error / cell.time > limit**2 * force
 
     def forget(self) -> None:
-        """Discard the evidence, because a fault that has ended may have caused it."""
+        """Discard the evidence."""
         self._cells.clear()
 
     @property
@@ -147,17 +164,14 @@ class CurrentEvidence:
     @property
     def cells(self) -> list[EvidenceCell]:
         """The currents with evidence, in ascending order."""
-        cells = self._proven
-        force = max((cell.force / cell.time for cell in cells.values()), default=0.0)
-        force = max(force, (_SMALLEST_PART * self._peak) ** 2)
         return [
             EvidenceCell(
                 (place - 0.5) * self._width,
                 (place + 0.5) * self._width,
                 math.sqrt(cell.error / cell.time),
-                cell.error / cell.time > self._limit**2 * force,
+                cell.refuted,
             )
-            for place, cell in sorted(cells.items())
+            for place, cell in sorted(self._proven.items())
         ]
 
 
@@ -295,6 +309,11 @@ class CandidateSets:
         """Restart the comparison after samples whose motion does not determine the force."""
         for each in self.sets:
             each.restart()
+
+    def forget_evidence(self) -> None:
+        """Discard the evidence, because a fault that has ended caused part of it."""
+        for each in self.sets:
+            each.evidence.forget()
 
     def follow(
         self,
