@@ -285,15 +285,15 @@ class CandidateSets:
         every = self._given, self.kept, self._widest, self._in_use
         return list(dict.fromkeys(each for each in every if each is not None))
 
-    def add(self, parameters: ParameterSet, *, given: bool) -> None:
-        """Add a set that arrives; ``given``: a user has loaded it, and the others are discarded."""
-        if not parameters.has_evidence:
+    def add(self, parameters: ParameterSet) -> None:
+        """Add a set that arrives. One loaded by a user replaces all others."""
+        if not parameters.origin.is_evidence:
             return
-        if given:
+        if not parameters.origin.is_identified:
             self._given, self._widest, self.kept = self._made(parameters), None, None
         elif parameters.law.knows_currents(parameters.observable):
             widest = self._widest
-            if widest is None or parameters.covers_currents(widest.parameters):
+            if widest is None or parameters.domain.covers(widest.parameters.domain):
                 self._widest = self._made(parameters)
 
     def use(self, parameters: ParameterSet) -> None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
@@ -22,6 +22,7 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
+from mr_damper_ros.models.domain import Origin
 from mr_damper_ros.models.parameter_set import ParameterSet, check_set
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.settings.option_table import option
@@ -214,26 +215,39 @@ class ForcePredictor:
     # Inputs other than samples
 
     def set_parameters(self, parameters: ParameterSet, confirmed_ns: int | None = None) -> None:
-        """Predict with this set from the next block on, unless the bank has a better one.
+        """Predict with this set from the next block on.
 
-        ``confirmed_ns`` is the stamp of the last sample that the set is known to fit; None for a
-        set that does not age, such as one loaded by a user. A set with a stamp takes effect by
-        bumpless transfer, a set without one at once. :meth:`ModelBank.add` describes which sets
-        replace a loaded set. The state of the law is recomputed.
+        ``confirmed_ns`` is the stamp of the last sample of this stream that the set is known to
+        fit; None for a set loaded by a user, which does not age. Raises ParameterError for anything
+        but a set.
         """
         check_set(parameters)
+        if confirmed_ns is None:
+            self.follow_set(parameters.as_given())
+        else:
+            identified = parameters.origin.is_identified
+            origin = parameters.origin if identified else Origin.WINDOW
+            self.follow_set(replace(parameters, stamp_ns=confirmed_ns, origin=origin))
+
+    def follow_set(self, parameters: ParameterSet) -> None:
+        """Process a set published by the identifier.
+
+        It is used from the next block on, unless the bank has a better one, and an identified set
+        takes effect by bumpless transfer. :meth:`ModelBank.add` describes which sets replace a
+        loaded set. The state of the law is recomputed.
+        """
         self._refused.forget()
         if self._bank.is_in_use(parameters):
             return
         before = self._bank.present
         half_cycle = math.nan if self._motion is None else self._motion.centre.usual_half_cycle
-        self._bank.add(parameters, confirmed_ns, half_cycle)
+        self._bank.add(parameters, half_cycle)
         if self.candidates is not None:
-            self.candidates.add(parameters, given=confirmed_ns is None)
-        if confirmed_ns is None:
+            self.candidates.add(parameters)
+        if not parameters.origin.is_identified:
             self._zero = LoadCellZero()
         if self._bank.present is not before:
-            self._use_present(fade=confirmed_ns is not None)
+            self._use_present(fade=parameters.origin.is_identified)
 
     def follow_report(self, report: Report) -> None:
         """Process the identifier's report on a window."""

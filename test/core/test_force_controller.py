@@ -27,6 +27,7 @@ from mr_damper_ros.emulation.emulator import (
     RigSettings,
 )
 from mr_damper_ros.emulation.motions import SineMotion
+from mr_damper_ros.models.domain import Origin
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
@@ -293,7 +294,7 @@ def test_a_set_for_fewer_currents_takes_no_currents_away() -> None:
     controller = controlled(WHOLE)
     commands_of(controller, EmulatedDamper(WHOLE), 0.5)
     for name, highest in (("window", 2.0), ("global", 0.3)):
-        found = replace(WHOLE, set_id=name, source="global", current_range=(0.0, highest))
+        found = replace(WHOLE, set_id=name, origin=Origin.GLOBAL, current_range=(0.0, highest))
         found = replace(found, observable=np.ones(found.values.size, dtype=bool))
         stamp_ns = T0 + (NANOSECONDS if highest < 2.0 else 0)
         controller.predictor.set_parameters(found, stamp_ns)
