@@ -336,7 +336,7 @@ class Command:
     unknown: bool = False
 
 
-_AT_ONCE = (DoubtKind.MISSING, DoubtKind.OUTDATED)
+_AT_ONCE = (DoubtKind.MISSING, DoubtKind.OUTDATED, DoubtKind.FROZEN)
 """Reasons for immediate fallback, which have already lasted for some time or will not end soon."""
 
 

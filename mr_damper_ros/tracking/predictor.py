@@ -145,7 +145,7 @@ _PART_TIME = 0.01
 and each part uses what was learnt from the previous part. A long block is therefore predicted as
 well as several short ones."""
 
-_UNKNOWN_MOTION = (DoubtKind.SETTLING, DoubtKind.AT_REST)
+_UNKNOWN_MOTION = (DoubtKind.FROZEN, DoubtKind.SETTLING, DoubtKind.AT_REST)
 """Reasons for which the motion does not determine the force."""
 
 _COMPARABLE = (
@@ -476,6 +476,15 @@ class ForcePredictor:
         # unknown, outside the identified range and after rejected windows.
         unproven = not (monitor.holds and follower.centre.reversals)
         found: list[Objection] = []
+        frozen = follower.freeze.speed
+        if frozen > 0.0:
+            found.append(
+                Objection(
+                    DoubtKind.FROZEN,
+                    f"the displacement has stopped within a sample at {frozen:.2g} m/s: is its "
+                    "sensor connected, and does its signal still change?",
+                )
+            )
         if unsettled:
             found.append(Objection(DoubtKind.SETTLING, unsettled))
         if resting:
