@@ -182,9 +182,9 @@ class Licence:
             low, high = permit.candidate.parameters.current_range
             return Doubt(
                 DoubtKind.OUT_OF_RANGE,
-                f"the current is {current:.2f} A, but the parameters hold for {low:.2f} to "
-                f"{high:.2f} A: set safe_current within this range, identify the damper from the "
-                "safe current on, or let control cross the unknown currents (crossing_rate)",
+                f"the supply current lies outside the {low:.2f} to {high:.2f} A for which the "
+                "parameters hold: set safe_current within this range, identify the damper from "
+                "the safe current on, or let control cross the unknown currents (crossing_rate)",
             )
         candidate = permit.candidate
         if not in_use and not math.isnan(current):
