@@ -323,6 +323,29 @@ def test_the_unknown_currents_are_crossed_once_at_the_stated_rate() -> None:
     assert not commands[-1].doubt
 
 
+class WeakAbove(EmulatedDamper):
+    """Above 0.85 A it has 70 % of the force of its set."""
+
+    def force(self, motion: Any, current: Array, celsius: float, period: float) -> Array:
+        part = 1.0 - 0.3 / (1.0 + np.exp(-(current - 0.85) / 0.01))
+        return np.asarray(super().force(motion, current, celsius, period) * part)
+
+
+def test_currents_at_which_the_set_is_wrong_are_excluded_and_the_others_are_not() -> None:
+    controller = controlled(replace(WHOLE, current_range=(0.0, 1.6)), highest_current=1.6)
+    loop = ControlLoop(controller, WeakAbove(WHOLE), excitation=SineMotion(5e-3, 1.0))
+    used, current = 0.0, 0.0
+    for block in loop.blocks(8.0):
+        if controller.highest_known > 0.9:
+            used += (current > 0.85) * BLOCK * PERIOD
+        speed = float(np.diff(block.displacement).mean()) / PERIOD
+        controller.want(block.end_ns, 40e3 * speed)
+        current = controller.command(block).current
+        loop.command(current)
+    assert 0.75 < controller.highest_known <= 0.9
+    assert 0.0 < used < 5.0
+
+
 class Sticking(EmulatedDamper):
     """It has friction that a current of 0.1 A hides."""
 
