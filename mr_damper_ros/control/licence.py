@@ -55,8 +55,8 @@ class Limits:
 class Permit:
     """A set to invert, and the lowest and the highest current [A] that may be commanded with it.
 
-    From the ``safe`` current to ``near`` [A], errors up to ``tolerated`` [N] are small relative to
-    the force at ``near``, and do not limit the range.
+    From the ``safe`` current to ``near`` [A], errors that are small relative to the force at
+    ``near`` are tolerated, and do not limit the range.
     """
 
     candidate: CandidateSet
@@ -64,7 +64,11 @@ class Permit:
     high: float
     safe: float
     near: float
-    tolerated: float
+
+    @property
+    def tolerated(self) -> float:
+        """Largest tolerated error [N]."""
+        return self.candidate.tolerated_at(self.near) if self.width > 0.0 else 0.0
 
     @property
     def width(self) -> float:
@@ -104,16 +108,18 @@ def permit_of(candidate: CandidateSet, limits: Limits, beyond: float = 0.0) -> P
     low, high = max(limits.lowest, lowest), min(limits.highest, highest + beyond)
     safe, rises = limits.safe, high - limits.safe >= limits.safe - low
     near = safe + (PROBED_PART if rises else -PROBED_PART) * (high - low)
-    tolerated = candidate.tolerated_at(near) if low < high else 0.0
+    permitted = low < high
     for cell in candidate.evidence.cells:
+        if not cell.refuted:
+            continue
         is_near = max(abs(cell.low - safe), abs(cell.high - safe)) <= abs(near - safe)
-        if not cell.refuted or (is_near and cell.error <= tolerated):
+        if is_near and permitted and cell.error <= candidate.tolerated_at(near):
             continue
         if cell.low > safe:
             high = min(high, cell.low)
         elif cell.high < safe:
             low = max(low, cell.high)
-    return Permit(candidate, low, high, safe, near, tolerated)
+    return Permit(candidate, low, high, safe, near)
 
 
 class Licence:
@@ -134,6 +140,9 @@ class Licence:
         if not permits:
             self.permit = None
             return
+        # A set that does not hold at the safe current is the last resort.
+        safe = self._limits.safe
+        permits = [p for p in permits if p.width > 0.0 and self._includes(p, safe)] or permits
         widest = max(each.width for each in permits)
         equal = [each for each in permits if each.width >= widest - CURRENT_READING]
         chosen = equal[-1]
@@ -192,8 +201,10 @@ class Licence:
                 doubt = Doubt(DoubtKind.WRONG, candidate.sentence)
             elif candidate.holds:
                 doubt = NO_DOUBT
+        if not in_control or doubt.kind is not DoubtKind.WRONG:
+            return doubt
         usual = permit.tolerates(current) and permit.is_right_behind(current)
-        return NO_DOUBT if in_control and usual and doubt.kind is DoubtKind.WRONG else doubt
+        return NO_DOUBT if usual else doubt
 
     def _includes(self, permit: Permit, current: float) -> bool:
         """Whether a current [A] is in the range of the set or of the permit, with their margin."""

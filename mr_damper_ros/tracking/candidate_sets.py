@@ -276,6 +276,7 @@ class CandidateSets:
         self._given: CandidateSet | None = None
         self._widest: CandidateSet | None = None
         self._in_use: CandidateSet | None = None
+        self._forces: list[tuple[CandidateSet, Array]] = []
         self.kept: CandidateSet | None = None
         """The set that the controller inverts, which stays a candidate."""
 
@@ -316,26 +317,26 @@ class CandidateSets:
             each.evidence.forget()
 
     def follow(
+        self, motion: Motion, current: Array, period: float, half_cycle: float, *, gradual: bool
+    ) -> None:
+        """Predict the sets at the next samples (n,)."""
+        self._forces = [
+            (each, each.follow(motion, current, period, half_cycle, gradual=gradual))
+            for each in self.sets
+        ]
+
+    def compare(
         self,
-        motion: Motion,
-        current: Array,
         measured: Array,
+        current: Array,
         recent: ForceStatistics,
         period: float,
         centre: MotionCentre,
-        *,
-        gradual: bool,
-        comparable: bool,
     ) -> None:
-        """Predict the sets at the next samples (n,), and compare them with the ``measured`` force.
-
-        ``measured`` (m,) [N] belongs to the last m samples. ``comparable``: whether the inputs are
-        right, so that an error is evidence against a set.
-        """
-        half_cycle, count = centre.usual_half_cycle, measured.size
-        for each in self.sets:
-            force = each.follow(motion, current, period, half_cycle, gradual=gradual)[-count:]
-            if comparable and self._limit > 0.0:
-                each.compare(
-                    force, measured, current[-count:], recent, period, half_cycle, centre.reversals
-                )
+        """Compare the last forces with the ``measured`` force (m,) [N] of the last m samples."""
+        count = measured.size
+        if self._limit == 0.0 or count == 0:
+            return
+        moved = period, centre.usual_half_cycle, centre.reversals
+        for each, force in self._forces:
+            each.compare(force[-count:], measured, current[-count:], recent, *moved)

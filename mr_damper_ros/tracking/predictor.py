@@ -187,6 +187,7 @@ class ForcePredictor:
         self._begun_at = 0
         # The work on the newest samples that is left for later.
         self._unlearned: Callable[[], None] | None = None
+        self._uncompared: Callable[[], None] | None = None
         self._newest_kind = DoubtKind.NONE
         self.tried = -math.inf
         """Highest current [A] under trial. Up to it, only the measured force decides validity."""
@@ -286,9 +287,10 @@ class ForcePredictor:
             self._motion.catch_up()
 
     def _finish_learning(self) -> None:
-        unlearned, self._unlearned = self._unlearned, None
-        if unlearned is not None:
-            unlearned()
+        for work in (self._unlearned, self._uncompared):
+            if work is not None:
+                work()
+        self._unlearned = self._uncompared = None
 
     def _learn(
         self,
@@ -400,7 +402,7 @@ class ForcePredictor:
         self._force = ForceInUse(period)
         self._monitor = ResidualMonitor(period, settings.maximum_error)
         self._zero.restart()
-        self._unlearned = None
+        self._unlearned = self._uncompared = None
         self._bank.forget_samples()
         if self.candidates is not None:
             self.candidates.restart()
@@ -442,7 +444,7 @@ class ForcePredictor:
     def _follow_candidates(
         self, block: SampleBlock, bridged: int, motion: Motion, current: Array
     ) -> None:
-        """Predict the sets in the background, and compare them with the measured force."""
+        """Predict the sets in the background, and compare them with the measured force later."""
         candidates, follower = self.candidates, self._motion
         if candidates is None:
             return
@@ -452,12 +454,14 @@ class ForcePredictor:
         if self._newest_kind in _UNKNOWN_MOTION:
             candidates.restart()
             return
-        candidates.follow(
-            *(motion, current, block.force[bridged:], self._monitor.recent, block.period),
-            follower.centre,
-            gradual=self._bank.gradual,
-            comparable=self._newest_kind in _COMPARABLE,
-        )
+        half_cycle, gradual = follower.centre.usual_half_cycle, self._bank.gradual
+        candidates.follow(motion, current, block.period, half_cycle, gradual=gradual)
+        if self._newest_kind in _COMPARABLE:
+            self._uncompared = partial(
+                candidates.compare,
+                *(block.force[bridged:], current, self._monitor.recent, block.period),
+                follower.centre,
+            )
 
     def _objections_to_set(
         self, block: SampleBlock, bridged: int, motion: Motion, current: Array, force: Array

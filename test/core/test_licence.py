@@ -86,6 +86,12 @@ def test_the_widest_set_is_inverted() -> None:
     assert (permit.low, permit.high) == (0.0, 1.6)
 
 
+def test_a_set_that_holds_at_the_safe_current_goes_before_a_wider_one_that_does_not() -> None:
+    far = replace(WIDE, current_range=(0.8, 1.6))
+    near = candidate(NARROW)
+    assert chosen(candidate(far), near).candidate is near
+
+
 def test_currents_at_which_the_set_is_wrong_are_excluded_with_those_behind_them() -> None:
     wide = candidate()
     for current in (0.3, 0.6, 1.4):
