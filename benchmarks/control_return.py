@@ -52,9 +52,10 @@ FAULTS = [
 
 
 class Returned(NamedTuple):
-    """Time [s] from the recovery of the force to control (infinite without a recovery or a return).
+    """Time [s] from the recovery of the force to control, infinite without a return.
 
-    ``while_wrong`` counts the returns from the safe current while the force was wrong.
+    It is NaN if the force never recovers, because the damper has changed. ``while_wrong`` counts
+    the returns from the safe current while the force was wrong.
     """
 
     name: str
@@ -140,11 +141,13 @@ def returned(scenario: Scenario, seed: int = 0) -> Returned:
     recovered = np.flatnonzero(steady & (time[: steady.size] >= END))
     back = np.flatnonzero(permitted > 0.0)
     back = back[back >= recovered[0]] if recovered.size else back[:0]
-    after = time[back[0]] - time[recovered[0]] if back.size else np.inf
+    after = np.nan
+    if recovered.size:
+        after = time[back[0]] - time[recovered[0]] if back.size else np.inf
     while_wrong, lost = 0, False
     for place in range(true.size):
         if lost and permitted[place] and time[place] >= BEGIN:
-            while_wrong += not right[place : place + BLOCK].mean() > 0.5
+            while_wrong += not right[place - BLOCK : place].mean() > 0.5
         lost = bool(fallen[place]) or (lost and not permitted[place])
     return Returned(scenario.name, float(after), while_wrong)
 
@@ -154,10 +157,11 @@ def figures(every: int = 1, seed: int = 0) -> Measured:
     chosen = some_of(FAULTS, every, seed)
     results = in_processes(returned, chosen, [seed] * len(chosen))
     print(*results, sep="\n", file=sys.stderr)
-    slowest = max(results, key=lambda each: each.after)
+    ended = [each for each in results if not np.isnan(each.after)]
+    slowest = max(ended, key=lambda each: each.after)
     wrong = [each for each in results if each.while_wrong]
     return {
-        "return_s": (slowest.after, f"{slowest.name}; of {len(results)} faults."),
+        "return_s": (slowest.after, f"{slowest.name}; of {len(ended)} of {len(results)} faults."),
         "returned_while_wrong": (
             float(sum(each.while_wrong for each in wrong)),
             "; ".join(f"{each.name}: {each.while_wrong}" for each in wrong),
