@@ -135,7 +135,10 @@ class Licence:
         """The present permit; None before the first set."""
 
     def choose(self, candidates: list[CandidateSet], beyond: float = 0.0) -> None:
-        """Choose among the candidates; the set in use is the last one."""
+        """Choose among the candidates; the set in use is the last one.
+
+        Of equal sets without evidence, as without a load cell, the set in use is chosen.
+        """
         permits = [permit_of(each, self._limits, beyond) for each in candidates]
         if not permits:
             self.permit = None
@@ -146,7 +149,7 @@ class Licence:
         widest = max(each.width for each in permits)
         equal = [each for each in permits if each.width >= widest - CURRENT_READING]
         chosen = equal[-1]
-        if self.permit is not None:
+        if self.permit is not None and _error(self.permit) < math.inf:
             before = self.permit.candidate
             chosen = next((each for each in equal if each.candidate is before), chosen)
         best = min(equal, key=_error)

@@ -139,6 +139,17 @@ def test_of_two_equal_sets_the_better_one_is_inverted_and_the_first_one_kept() -
     assert licence.permit.candidate is third
 
 
+def test_without_a_load_cell_the_set_in_use_is_inverted_in_its_whole_range() -> None:
+    """No evidence decides between sets for the same currents, nor takes currents away."""
+    licence, given, found = Licence(LIMITS, 0.1), candidate(), candidate()
+    licence.choose([given])
+    licence.choose([given, found])
+    assert licence.permit is not None
+    assert licence.permit.candidate is found
+    licence.choose([given, candidate(NARROW)])
+    assert licence.permit.candidate is given
+
+
 errors = st.lists(
     st.tuples(st.floats(0.0, 1.6), st.floats(0.0, 0.6), st.floats(0.05, 2.0)), max_size=12
 )
