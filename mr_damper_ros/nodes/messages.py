@@ -160,7 +160,7 @@ def parameters_message(parameters: ParameterSet, frame_id: str, node: str) -> Da
         names=list(parameters.law.parameter_names),
         units=list(parameters.law.units.values()),
         observable=parameters.observable.tolist(),
-        origin=parameters.origin,
+        origin=int(parameters.origin),
         node=node,
         peak_velocity_min=low[0],
         peak_velocity_max=high[0],
