@@ -261,7 +261,7 @@ def test_sets_are_saved_loaded_reset_and_survive_a_restart(
     heard = len(results.sets)
     third = start("identifier", state_dir=tmp_path)
     listener.until(lambda: len(results.sets) > heard, "the set after the crash")
-    assert str(results.sets[-1]) == str(identified)
+    assert str(results.sets[-1]) == str(loaded)
     third.stop()
 
     (tmp_path / "identifier.yaml").write_text("# mr_damper_ros parameters, half a li")
