@@ -96,8 +96,8 @@ def returned(scenario: Scenario, seed: int = 0) -> Returned:
                 controller.predictor.add_current(*reading)
             except CurrentError:
                 continue
-        samples = sent.samples
         try:
+            samples = sent.samples
             check_live(samples)
         except BlockError:
             return None
