@@ -121,7 +121,7 @@ def returned(scenario: Scenario, seed: int = 0) -> Returned:
         command = commands[-1] if commands else None
         true = float(made.force[-1])
         if command is None:
-            rows.append((False, True, False, np.nan, true))
+            rows.append((False, False, False, np.nan, true))
         else:
             current = command.current
             said = command.prediction
@@ -147,7 +147,9 @@ def returned(scenario: Scenario, seed: int = 0) -> Returned:
     while_wrong, lost = 0, False
     for place in range(true.size):
         if lost and permitted[place] and time[place] >= BEGIN:
-            while_wrong += not right[place - BLOCK : place].mean() > 0.5
+            known = ~np.isnan(predicted[place - BLOCK : place])
+            before = right[place - BLOCK : place][known]
+            while_wrong += before.size > 0 and not before.mean() > 0.5
         lost = bool(fallen[place]) or (lost and not permitted[place])
     return Returned(scenario.name, float(after), while_wrong)
 
