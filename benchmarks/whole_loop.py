@@ -11,6 +11,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product, repeat
 from typing import NamedTuple
 
@@ -41,7 +42,7 @@ from mr_damper_ros.emulation.emulator import (
 from mr_damper_ros.emulation.motions import Excitation, SineMotion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.rig.sources.emulated_source import suspension_state_of
+from mr_damper_ros.rig.sources.emulated_source import QuarterCarOptions, suspension_state_of
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.signals.recording import Recording
@@ -108,7 +109,8 @@ class Driven(NamedTuple):
     ``valid`` is the fraction of samples with valid predicted force [1]. ``nrmse`` is that of the
     valid force, and ``exact`` that of the exact set at the same samples. ``reversals`` of the
     current and ``drops`` to the safe current are counted per second. ``safe`` is the fraction of
-    the time at the safe current.
+    the time at the safe current, ``reach`` the highest permitted current at the end, relative to
+    that of the user's set.
     """
 
     road: str
@@ -119,6 +121,7 @@ class Driven(NamedTuple):
     reversals: float
     drops: float
     safe: float
+    reach: float
 
 
 def driven(road: str, seed: int, duration: float = DRIVEN, *, given: bool = True) -> Driven:
@@ -169,7 +172,86 @@ def driven(road: str, seed: int, duration: float = DRIVEN, *, given: bool = True
     safe = np.mean([falls for _, falls in commands[round(SETTLED / _LENGTH) :]])
     share = float(np.mean(valid))
     turns, drops = smoothness(commands)
-    return Driven(road, seed, share, nrmse, right, turns, drops, float(safe))
+    reach = choice.controller.highest_known / HIGHEST_CURRENT
+    return Driven(road, seed, share, nrmse, right, turns, drops, float(safe), reach)
+
+
+# -- the documented loop ---------------------------------------------------------------------------
+
+DOCUMENTED = SuspensionSettings(controller="hybrid", damping=25e3, share=0.7)
+"""The desired force of the loop in doc/control.md."""
+
+PASSIVE = (0.001, HIGHEST_CURRENT)
+"""Constant currents [A] of the two passive dampers."""
+
+
+class Loop(NamedTuple):
+    """Result of the documented loop.
+
+    ``current`` [A] is the mean current, ``attainable`` the share of blocks whose desired force is
+    attainable, ``nrmse`` the error of these forces [1]. ``gain`` is the relative reduction of the
+    RMS acceleration of the body against the better passive damper.
+    """
+
+    seed: int
+    current: float
+    attainable: float
+    nrmse: float
+    gain: float
+
+
+def _constant(current: float, _: PlantRig) -> Callable[[RigBlock], float]:
+    return lambda _: current
+
+
+def documented(seed: int, duration: float = DRIVEN) -> Loop:
+    """The loop of doc/control.md on a road of class C, with the identifier."""
+    given = QuarterCarOptions()
+
+    def ride(choose: Callable[[PlantRig], Callable[[RigBlock], float]]) -> float:
+        supply = SupplySetpoint(0.0)
+        rig = PlantRig(
+            EmulatedDamper(invented_damper(0.0), HOT_FORCE, built_in=True),
+            given.car.plant,
+            IsoRoad(given.road, given.speed, seed),
+            supply,
+            settings=RigSettings(displacement_noise=1e-6, seed=seed),
+            thermal=ThermalModel(initial_temperature=28.0, heat_capacity=given.heat_capacity),
+            coil_time_constant=LAG,
+            substeps=2,
+        )
+        states = [
+            suspension_state_of(rig).acceleration
+            for _ in commanded(rig, supply, choose(rig), BLOCK, duration)
+        ]
+        return float(np.std(states[round(SETTLED / _LENGTH) :]))
+
+    wanted, known = controller_of(DOCUMENTED), invented_damper(LAG)
+    commands: list[tuple[float, float]] = []
+    errors: list[Array] = []
+    forces: list[Array] = []
+
+    def controlled(rig: PlantRig) -> Callable[[RigBlock], float]:
+        choice = chosen(lambda _: wanted(suspension_state_of(rig)), known, Engine(start=known))
+
+        def choose(measured: RigBlock) -> float:
+            # The force of this block follows from the command after the previous block.
+            before = choice.last
+            current = choice(measured)
+            if before is not None and measured.sequence * PERIOD > SETTLED:
+                commands.append((current, before.attainable))
+                forces.append(measured.force)
+                if before.attainable:
+                    errors.append(measured.force - before.wanted)
+            return current
+
+        return choose
+
+    acceleration = ride(controlled)
+    passive = min(ride(partial(_constant, each)) for each in PASSIVE)
+    current, attainable = np.mean(commands, axis=0).tolist()
+    nrmse = rms(np.concatenate(errors)) / float(np.std(np.concatenate(forces)))
+    return Loop(seed, current, attainable, nrmse, 1.0 - acceleration / passive)
 
 
 # -- an emulated rig under a switched current ------------------------------------------------------
@@ -340,6 +422,7 @@ def figures(every: int = 1, seed: int = 0) -> Measured:
     """
     roads, seeds = zip(*some_of(DRIVES, every, seed), strict=True)
     drives = in_processes(driven, roads, [each + 5 * seed for each in seeds])
+    loops = in_processes(documented, [each + 8 * seed for each in some_of(range(8), every, seed)])
     chosen = some_of(SWITCHED_RUNS, every, seed)
     runs = in_processes(switched, [each + len(SWITCHED_RUNS) * seed for each in chosen])
     names = some_of(tuple(CASES), every, seed)
@@ -360,6 +443,13 @@ def figures(every: int = 1, seed: int = 0) -> Measured:
     return {
         "loop_valid_percent": (100.0 * least.valid, f"Road {least.road}, seed {least.seed}."),
         "loop_nrmse_ratio": (far.nrmse / far.exact, f"Road {far.road}, seed {far.seed}."),
+        "loop_current_range": min(each.reach for each in drives),
+        "attainable_nrmse_percent": (
+            100.0 * float(np.median([each.nrmse for each in loops])),
+            f"Mean current {np.median([each.current for each in loops]):.2f} A, attainable "
+            f"{np.median([each.attainable for each in loops]):.0%} of the time, acceleration "
+            f"{np.median([each.gain for each in loops]):.0%} below the better passive damper.",
+        ),
         "loop_drops": max(each.drops for each in drives),
         "loop_confirmed_percent": (
             100.0 * poor.confirmed,

@@ -19,13 +19,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mr_damper_ros.control.inverse_model import InverseModel
+from mr_damper_ros.control.licence import Approach, Licence, Limits
 from mr_damper_ros.kinematics.motion import MotionSample
 from mr_damper_ros.models.first_order_lag import COIL
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.quantities import State
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.uniform_grid import GridSettings
+from mr_damper_ros.tracking.candidate_sets import CandidateSets
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 
@@ -86,9 +89,16 @@ class FallbackSettings(CheckedSettings):
     safe_current: float = option(
         0.0,
         "Current [A] that is commanded when the predicted force is invalid, and when the node "
-        "ends. It must lie within the identified range of currents, because the force is invalid "
-        "outside this range, and control would never start.",
+        "ends. It should lie within the identified range of currents: outside this range control "
+        "does not start, except with crossing_rate.",
         within=(-10.0, 10.0),
+    )
+    crossing_rate: float = option(
+        0.0,
+        "Rate [A/s] at which the current crosses from a safe current outside the identified range "
+        "of currents to this range, although the force on the way is unknown. 0: control does not "
+        "start, and the diagnostics say so.",
+        within=(0.0, 10.0),
     )
     in_doubt: str = option(
         HOLD,
@@ -118,7 +128,7 @@ _ROUNDING = 1e-9
 _LASTING = 10.0
 """Control that has lasted for this multiple of ``doubt_time`` resets the wait."""
 
-_LONGEST = 32.0
+_LONGEST = 8.0
 """Longest wait for valid force, as a multiple of ``doubt_time``."""
 
 
@@ -177,6 +187,12 @@ class Fallback:
         step = self._span * duration / time if time > 0.0 else 0.0
         self._reach = max(abs(current - safe) - step, 0.0)
         return self.within_reach(current)
+
+    def approaching(self, current: float, target: float, step: float) -> float:
+        """The current [A] moved from ``current`` to a ``target`` by at most a ``step`` [A]."""
+        moved = current + min(max(target - current, -step), step)
+        self._reach = abs(moved - self._settings.safe_current)
+        return moved
 
     def towards(self, current: float, duration: float) -> float:
         """The setpoint ``current`` [A], limited by the ramp away from the safe current."""
@@ -320,14 +336,7 @@ class Command:
     unknown: bool = False
 
 
-REMEDY = (
-    "by a manual run (parameter current of the bridge or the supply) or by a campaign, or set "
-    "probe_step"
-)
-"""How to extend the identified range of currents."""
-
-
-_AT_ONCE = (DoubtKind.MISSING, DoubtKind.OUTDATED)
+_AT_ONCE = (DoubtKind.MISSING, DoubtKind.OUTDATED, DoubtKind.FROZEN)
 """Reasons for immediate fallback, which have already lasted for some time or will not end soon."""
 
 
@@ -339,7 +348,9 @@ class ForceController:
 
     def __init__(self, settings: ForceControlSettings, grid: GridSettings | None = None) -> None:
         self.settings = settings
-        self.predictor = ForcePredictor(settings.predictor, grid)
+        predictor, fallback = settings.predictor, settings.fallback
+        self._candidates = CandidateSets(predictor.maximum_error)
+        self.predictor = ForcePredictor(predictor, grid, self._candidates)
         """Predicts the force and its validity.
 
         The caller passes it parameter sets, currents, reports, and blocks that arrived too late for
@@ -348,55 +359,53 @@ class ForceController:
         self.feedback = ForceFeedback(settings.feedback)
         # Stamp [ns] and value [N] of the desired force.
         self._demand: tuple[int, float] | None = None
+        limits = Limits(settings.lowest_current, settings.highest_current, fallback.safe_current)
+        self._licence = Licence(limits, predictor.current_margin)
+        self._approach = Approach(fallback.crossing_rate)
         # The inverse, its coil time constant [s], and the limits within its range of currents,
         # which also apply to the overshoot that drives the coil.
         self._inverse: InverseModel | None = None
         self._time_constant = 0.0
         self._limits = settings
-        # The inverted set, whether its reversals are gradual, and the extension of its range [A].
-        self._inverted: tuple[ParameterSet, bool, float] | None = None
-        self._unusable = NO_DOUBT
+        # The inverted set, whether its reversals are gradual, and the permitted currents [A].
+        self._inverted: tuple[ParameterSet, bool, float, float] | None = None
         # The last setpoint of the coil current and the last command [A].
         self._wanted: float | None = None
-        self._commanded = settings.fallback.safe_current
-        span = settings.highest_current - settings.lowest_current
-        self._fallback = Fallback(settings.fallback, span)
+        self._commanded = fallback.safe_current
+        self._fallback = Fallback(fallback, settings.highest_current - settings.lowest_current)
         self._probe = Probe(settings.probe_step)
         self._last_was_unknown = False
 
     @property
     def highest_known(self) -> float:
-        """Highest usable current [A]; NaN if no set can be inverted."""
+        """Highest permitted current [A]; NaN if no set can be inverted."""
         return math.nan if self._inverse is None else self._limits.highest_current
 
-    def _take_set_in_use(self) -> None:
-        """Invert the predictor's set in use, if the set or its range has changed."""
-        parameters, gradual = self.predictor.parameters, self.predictor.gradual
-        if parameters is None:
+    @property
+    def _memory(self) -> State | None:
+        """State of the inverted law after the last block."""
+        permit = self._licence.permit
+        return None if permit is None else permit.candidate.state
+
+    def _invert(self) -> None:
+        """Invert the set that the licence permits, if the set or its range has changed."""
+        self._licence.choose(self._candidates.sets, self._probe.beyond)
+        permit, gradual = self._licence.permit, self.predictor.gradual
+        if permit is None:
             return
-        settings, beyond = self.settings, self._probe.beyond
-        lowest, highest = parameters.current_range
-        self.predictor.tried = highest + beyond
-        if self._inverted is not None:
-            before, *others = self._inverted
-            if parameters is before and others == [gradual, beyond]:
-                return
-        self._inverted = parameters, gradual, beyond
-        low = max(settings.lowest_current, lowest)
-        high = min(settings.highest_current, highest + beyond)
-        if low < high:
-            self._inverse = InverseModel(parameters, low, high, gradual_reversal=gradual)
+        self._candidates.kept = permit.candidate
+        parameters, settings = permit.candidate.parameters, self.settings
+        self.predictor.tried = parameters.current_range[1] + self._probe.beyond
+        wanted, before = (parameters, gradual, permit.low, permit.high), self._inverted
+        if before is not None and wanted[0] is before[0] and wanted[1:] == before[1:]:
+            return
+        self._inverted, self._inverse = wanted, None
+        if permit.width > 0.0:
+            self._inverse = InverseModel(
+                parameters, permit.low, permit.high, gradual_reversal=gradual
+            )
             self._time_constant = parameters.as_dict().get(COIL, 0.0)
-            self._limits = replace(settings, lowest_current=low, highest_current=high)
-            self._unusable = NO_DOUBT
-            return
-        self._inverse = None
-        self._unusable = Doubt(
-            DoubtKind.OUT_OF_RANGE,
-            f"the parameters hold for {lowest:.2f} to {highest:.2f} A, which leaves no range of "
-            f"currents between lowest_current ({settings.lowest_current:g} A) and highest_current "
-            f"({settings.highest_current:g} A): identify the damper at several currents, {REMEDY}",
-        )
+            self._limits = replace(settings, lowest_current=permit.low, highest_current=permit.high)
 
     def want(self, stamp_ns: int, force: float) -> str:
         """Set the desired force [N]; returns an objection, empty if the force is usable."""
@@ -409,14 +418,15 @@ class ForceController:
         """The command after a block; ``now_ns`` as in :meth:`ForcePredictor.predict`."""
         prediction = self.predictor.predict(block, now_ns)
         duration = block.sample_count * block.period
-        self._take_set_in_use()
+        self._invert()
         doubt = self._doubt(prediction, block.end_ns)
         wanted = math.nan if self._demand is None else self._demand[1]
-        at_once = doubt.kind in _AT_ONCE or bool(self._unusable)
+        at_once = doubt.kind in _AT_ONCE or bool(self._licence.refusal)
         self._probe.follow(duration, doubt, self._last_was_unknown)
         self._last_was_unknown = False
         if not self._fallback.follow(duration, doubted=bool(doubt), at_once=at_once):
             return self._fall_back(prediction, doubt, wanted, duration)
+        self._approach.succeed()
         self.feedback.follow(block.force, duration)
         horizon = max(duration, self.settings.horizon)
         assert prediction.motion is not None
@@ -427,7 +437,7 @@ class ForceController:
         attainable = attainable and self._wanted == current
         self.feedback.expect(wanted if attainable else math.nan)
         if self._time_constant > 0.0:
-            memory = self.predictor.memory
+            memory = self._memory
             coil = float((prediction.current if memory is None else memory)[-1])
             # The lagging coil reaches the setpoint at the end of the horizon.
             command = coil + (command - coil) / -math.expm1(-horizon / self._time_constant)
@@ -449,7 +459,7 @@ class ForceController:
         if self._inverse is not None:
             # A current beyond the identified range, reached by probing, is not held.
             held = min(held, max(self._limits.highest_current, safe))
-        self._wanted = self._fallback.away_from(held, duration)
+        self._wanted = self._moved(held, doubt, duration)
         self._commanded = self.settings.limited(self._wanted, self._commanded, duration)
         doubt = doubt or Doubt(
             DoubtKind.SETTLING,
@@ -459,6 +469,20 @@ class ForceController:
         falls_back = self._fallback.lasts
         return Command(self._commanded, doubt, wanted, prediction, falls_back=falls_back)
 
+    def _moved(self, held: float, doubt: Doubt, duration: float) -> float:
+        """The coil current [A] of a fallback, ``duration`` [s] after it was ``held`` [A]."""
+        fallback, approach = self._fallback, self._approach
+        safe = self.settings.fallback.safe_current
+        if not fallback.lasts:
+            approach.end()
+        elif approach.under_way or held == safe:
+            step = approach.follow(doubt, self._licence.permit, held, duration)
+            if approach.fault_ended:
+                self._candidates.forget_evidence()
+            if approach.under_way:
+                return fallback.approaching(held, approach.target, step)
+        return fallback.away_from(held, duration)
+
     def give_up(self) -> float:
         """Reset to the safe current [A] and return it."""
         self._wanted = None
@@ -467,10 +491,16 @@ class ForceController:
         return self._commanded
 
     def _doubt(self, prediction: Prediction, end_ns: int) -> Doubt:
-        if prediction.newest_doubt:
-            return prediction.newest_doubt
-        if self._unusable:
-            return self._unusable
+        permit, parameters = self._licence.permit, self.predictor.parameters
+        current = math.nan if prediction.current is None else float(prediction.current[-1])
+        in_use = permit is not None and permit.candidate.parameters is parameters
+        doubt = self._licence.judge(
+            *(prediction.newest_doubt, current),
+            in_use=in_use,
+            in_control=not self._fallback.lasts,
+        )
+        if doubt:
+            return doubt
         if self._demand is None:
             return Doubt(
                 DoubtKind.MISSING, "no desired force yet: is it published on damper/desired_force?"
@@ -493,7 +523,7 @@ class ForceController:
         Also returns its force [N], whether this is the desired force, and whether that needs a
         current within the limits, but outside the identified range.
         """
-        model, last, state = self._inverse, self._wanted, self.predictor.memory
+        model, last, state = self._inverse, self._wanted, self._memory
         assert model is not None
         ahead = horizon if self._time_constant > 0.0 else 0.5 * horizon
         times = [part * ahead for part in _JUDGED_TIMES]

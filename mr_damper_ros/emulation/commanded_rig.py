@@ -88,5 +88,5 @@ class ForceChoice:
                 controller.predictor.follow_report(publication.report)
                 found = publication.parameters
                 if found is not None:
-                    controller.predictor.set_parameters(found, found.stamp_ns or None)
+                    controller.predictor.follow_set(found)
         return self.last.current

@@ -68,16 +68,20 @@ from mr_damper_ros.estimation.record_levels import (
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import FEWER_PER_CYCLE, Window, following_stride, holds_cycle
+from mr_damper_ros.models.domain import Origin
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import ChosenParameters, Misfit
-from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import MODEL_ERROR, CoefficientTable, LoopReading
 from mr_damper_ros.signals.arrays import NEGLIGIBLE, Array
 from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 
 _TINY = float(np.finfo(float).eps)
 
-GLOBAL_METHODS = (GLOBAL_SOURCE, "nelder_mead", "least_squares", "differential_evolution")
+GLOBAL_METHOD = "global"
+"""The default method of a global identification."""
+
+GLOBAL_METHODS = (GLOBAL_METHOD, "nelder_mead", "least_squares", "differential_evolution")
 
 
 def with_linear_refitted(
@@ -936,6 +940,7 @@ class GlobalSearch:
             current_range=(float(currents.min()), float(currents.max())),
             model=self.model.name,
             largest_force=max(window.largest_force for window in windows),
+            origin=Origin.GLOBAL,
         )
 
     def _errors(self, misfit: Misfit, free: np.ndarray) -> tuple[Array, Array]:
@@ -986,7 +991,7 @@ def identify_global(
     settings: EvolutionSettings,
     report: Report | None = None,
     *,
-    method: str = GLOBAL_SOURCE,
+    method: str = GLOBAL_METHOD,
     known: Array | None = None,
     levels: LevelPrior | None = None,
 ) -> GlobalFit:

@@ -24,11 +24,11 @@ from mr_damper_ros.estimation.differential_evolution import (
     ProgressClock,
     Report,
 )
-from mr_damper_ros.estimation.global_fit import AS_GOOD, GlobalSearch
+from mr_damper_ros.estimation.global_fit import AS_GOOD, GLOBAL_METHOD, GlobalSearch
 from mr_damper_ros.estimation.local_search import StopRequestedError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, known_model
+from mr_damper_ros.models.parameter_set import known_model
 from mr_damper_ros.models.quantities import GOOD_NRMSE
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.signals.arrays import Array
@@ -279,7 +279,7 @@ def _left_out_errors(task: _Task, notify: Notify) -> Array:
     errors = []
     try:
         whole = search_of(windows)
-        whole.search(GLOBAL_SOURCE)
+        whole.search(GLOBAL_METHOD)
         for fold in parts:
             done += 1
             search = search_of(fold.training)
@@ -294,7 +294,7 @@ def _left_out_errors(task: _Task, notify: Notify) -> Array:
 
 def _error_left_out(search: GlobalSearch, fold: Fold) -> float:
     errors = np.where(search.free, 0.0, math.nan)
-    found = search.parameter_set(errors, errors, GLOBAL_SOURCE)
+    found = search.parameter_set(errors, errors, GLOBAL_METHOD)
     squares = []
     for window, places in fold.judged:
         residual = (found.window_force(window) - window.force)[places]

@@ -225,6 +225,80 @@ class MotionCentre:
         self._direction, self._began = direction, self._count
 
 
+_STEPS = 8
+"""Number of changes of the displacement that give the velocity before it froze."""
+
+_MISSING_STEPS = 4.0
+"""The displacement is frozen if it has not followed at least this many of the largest steps."""
+
+_FAST = 0.1
+"""Part of the usual peak velocity above which a motion cannot stop within a sample. Just before a
+reversal or a rest the velocity is lower."""
+
+
+_ROUNDING = 1e-3
+"""Tolerance of a step as a multiple of the resolution."""
+
+_EQUAL = 5
+"""Number of equal samples that noise of the displacement excludes."""
+
+
+class FreezeDetector:
+    """Detects a displacement that stops changing within a sample, ``period`` [s] apart.
+
+    A machine that comes to rest decelerates first, and noise goes on. ``speed`` [m/s] is the
+    velocity at which the displacement froze; NaN if it is not frozen.
+    """
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        # Sample number and displacement [m] of the latest changes.
+        self._changes: deque[tuple[int, float]] = deque(maxlen=_STEPS + 1)
+        self._count = 0
+        self._last = math.nan
+        self.speed = math.nan
+
+    def follow(self, displacement: Array, usual_peak: float) -> None:
+        """Process samples (n,) [m]; ``usual_peak`` [m/s] is the peak velocity of the motion."""
+        for value in displacement.tolist():
+            self._count += 1
+            if value != self._last:
+                self._last = value
+                self._changes.append((self._count, value))
+        self.speed = math.nan
+        if len(self._changes) <= _STEPS or self._changes[-1][0] == self._count:
+            return
+        (first, start), (half, middle), (last, end) = (
+            self._changes[place] for place in (0, _STEPS // 2, -1)
+        )
+        steps = [abs(two - one) for (_, one), (_, two) in pairwise(self._changes)]
+        before = (middle - start) / ((half - first) * self._period)
+        after = (end - middle) / ((last - half) * self._period)
+        # Velocity at the last change; a deceleration before it goes on.
+        speed = min(abs(after + 0.5 * (after - before)), abs(after))
+        missing = speed * (self._count - last) * self._period
+        if not usual_peak > 0.0:
+            return
+        stops = speed > _FAST * usual_peak and missing >= _MISSING_STEPS * max(steps)
+        # Every sample differed from the one before, by noise, and now several are equal.
+        dense = last - first == _STEPS and self._count - last >= _EQUAL
+        if stops or (dense and _is_noisy(np.array([value for _, value in self._changes]))):
+            self.speed = speed
+
+
+def _is_noisy(values: Array) -> bool:
+    """Whether noise prevails in the second differences of samples (n,), n > 3.
+
+    Samples on the lattice of a digital sensor are not noisy: equal ones are frequent.
+    """
+    second = np.diff(values, 2)
+    third = np.diff(second)
+    steps = np.abs(np.diff(values))
+    parts = steps / steps.min()
+    is_lattice = bool(np.max(np.abs(parts - np.round(parts))) < _ROUNDING)
+    return not is_lattice and bool(np.mean(third**2) > np.mean(second**2))
+
+
 _REVERSALS_FOR_CENTRE = 3
 """Number of reversals after which the centre of a motion is known. More than two are needed,
 because the first may belong to a transition into the steady motion."""
@@ -261,6 +335,8 @@ class MotionFollower:
         self.centre = MotionCentre(centre_memory, period)
         self.peak = PeakVelocity(period, centre_memory)
         self._sine = SineFollower(period, centre_memory)
+        self.freeze = FreezeDetector(period)
+        """Whether the displacement is frozen."""
         self._together = round(_BATCH_TIME / period)
         self._unlearned: list[Array] = []
         self._unlearned_count = 0
@@ -303,6 +379,7 @@ class MotionFollower:
     def follow(self, displacement: Array) -> Motion:
         """Motion at the next samples [m], shape (n,)."""
         self.catch_up()
+        self.freeze.follow(displacement, self.peak.root_mean_square)
         motion = self._sine.motion_of(displacement, self._unlearned_count)
         if motion is None:
             # The sine has ended, so the observer first processes the last samples of the sine.

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from mr_damper_ros.kinematics.motion import Motion, MotionSample
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS, Model
+from mr_damper_ros.models.domain import Domain, Origin
 from mr_damper_ros.models.quantities import SAME_CURRENT, State
 from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.signals.arrays import NEGLIGIBLE, Array, samples_of
@@ -32,14 +33,6 @@ _ENTRIES = ("value", "unit", "standard_error", "discrepancy", "observable")
 
 LONGEST_NAME = 200
 """Largest number of characters of an id or a source; this package creates about thirty."""
-
-GLOBAL_SOURCE, EARLY_SOURCE = "global", "force_scale"
-"""Sources of a set: a global identification of all operating points, and an early fit, which scales
-only the gain parameters after a sudden change of force."""
-
-
-START_SOURCES = ("literature", "start")
-"""Sources of a start set, which neither samples nor a user support."""
 
 
 class UserError(ValueError):
@@ -56,6 +49,9 @@ class UserError(ValueError):
 class ParameterError(UserError):
     """A parameter set cannot be used; the message says what to change."""
 
+
+_SINE = np.arange(0.0, 2.0, 0.01)
+"""Times [cycles] at which a sine is sampled to find its largest force."""
 
 Moved = TypeVar("Moved", Motion, MotionSample, Window)
 
@@ -104,7 +100,8 @@ class ParameterSet:
     values. A parameter that the data determined only jointly with others is observable and has no
     standard error. ``peak_velocity_range`` [m/s] and ``current_range`` [A] span the data that were
     used; ``nrmse`` is RMSE/std of the force; ``stamp_ns`` is the time of the last sample used.
-    ``largest_force`` [N] is the largest force in these data, NaN if unknown. ``dependence_range``
+    ``largest_force`` [N] is the largest force in these data, NaN if unknown. ``origin`` says where
+    the set comes from, ``source`` names the method that found it, for people. ``dependence_range``
     [m/s] is the range in which the dependence on the peak velocity is known, None if it is the
     ``peak_velocity_range``. The fit of a window beyond it may scale the law without extending it.
 
@@ -127,6 +124,7 @@ class ParameterSet:
     largest_force: float = math.nan
     discrepancies: Array = field(default_factory=_unknown)
     dependence_range: tuple[float, float] | None = None
+    origin: Origin = Origin.USER
 
     def __post_init__(self) -> None:
         model = known_model(self.model)
@@ -290,28 +288,46 @@ class ParameterSet:
         """
         return self.window_force(motion_window(time, displacement, current), gradual=None)
 
+    def largest_in_sine(self, peak_velocity: float, half_cycle: float, current: float) -> float:
+        """Largest force [N] in a sine of this peak velocity [m/s] at a current [A].
+
+        ``half_cycle`` [s] is that of the sine. Infinite if one of the two is not positive.
+        """
+        amplitude = peak_velocity * half_cycle / math.pi
+        if not amplitude > 0.0:
+            return math.inf
+        force = self.force(
+            2.0 * half_cycle * _SINE, amplitude * np.sin(2.0 * math.pi * _SINE), current
+        )
+        # The first half-cycle is a transient of a law with memory.
+        return float(np.max(np.abs(force[_SINE >= 0.5])))
+
     @property
-    def has_evidence(self) -> bool:
-        """Whether samples or a user support the set; a start set has no support."""
-        return self.source not in START_SOURCES
+    def domain(self) -> Domain:
+        """The speeds and currents for which the set holds."""
+        confirmed_ns = self.stamp_ns if self.origin.is_identified else None
+        return Domain(self.peak_velocity_range, self.current_range, confirmed_ns)
 
     def as_given(self) -> ParameterSet:
-        """The set as loaded by a user.
+        """The set as loaded by a user; a start set stays one.
 
         If no parameter is marked as observable, the parameters that a run over the ranges of the
         set would determine are marked. An unbounded range determines none.
         """
-        if self.observable.any() or not self.has_evidence:
+        if not self.origin.is_evidence:
             return self
+        given = self if self.origin is Origin.USER else replace(self, origin=Origin.USER)
+        if given.observable.any():
+            return given
         ranges = self.peak_velocity_range, self.current_range
         wide = [0.0 < high - low < math.inf for low, high in ranges]
         if not any(wide):
-            return self
+            return given
         known = [
             (parameter.peak_velocities == 1 or wide[0]) and (parameter.currents == 1 or wide[1])
             for parameter in self.law.parameters
         ]
-        return replace(self, observable=np.array(known))
+        return replace(given, observable=np.array(known))
 
     def times_force(self, factor: float, error: float = 0.0, **changes: Any) -> ParameterSet:
         """The set with ``changes``, and its force multiplied by a factor with a standard error."""
@@ -366,6 +382,7 @@ class ParameterSet:
             "model": self.model,
             "id": self.set_id,
             "source": self.source,
+            "origin": self.origin.name.lower(),
             "stamp_ns": int(self.stamp_ns),
             "nrmse": _or_none(self.nrmse),
             "peak_velocity_range": list(self.peak_velocity_range),
@@ -441,7 +458,7 @@ class ParameterSet:
     @classmethod
     def _from_document(cls, document: Any) -> ParameterSet:
         known = {
-            *("model", "id", "source", "stamp_ns", "nrmse"),
+            *("model", "id", "source", "origin", "stamp_ns", "nrmse"),
             *("peak_velocity_range", "current_range", "largest_force", "dependence_range"),
             "parameters",
         }
@@ -498,7 +515,16 @@ class ParameterSet:
             largest_force=_or_nan(document.get("largest_force"), "largest_force"),
             discrepancies=discrepancies,
             dependence_range=document.get("dependence_range"),
+            origin=_origin(document.get("origin", Origin.USER.name.lower())),
         )
+
+
+def _origin(name: Any) -> Origin:
+    """The origin of this name; raises ParameterError for an unknown name."""
+    names = {each.name.lower(): each for each in Origin}
+    if not isinstance(name, str) or name not in names:
+        raise ParameterError(f"origin is {_shown(name)}: the origins are {', '.join(names)}")
+    return names[name]
 
 
 def check_name(what: str, text: str) -> None:
@@ -593,4 +619,5 @@ def start_set(model: str) -> ParameterSet:
         peak_velocity_range=(speed, speed),
         current_range=(0.0, 0.0),
         model=model,
+        origin=Origin.START if name == Origin.START.name.lower() else Origin.LITERATURE,
     )

@@ -94,7 +94,7 @@ class BlockNode(Node, Generic[Options, Answer]):
             except (StateError, ParameterError) as problem:
                 raise ValueError(f"parameter_file: {problem}") from problem
             self._given = given.set_id
-            predictor.set_parameters(given, None)
+            predictor.set_parameters(given)
         self.create_subscription(
             DamperParameters, PARAMETERS_TOPIC, self._take_set, quality.latched()
         )
@@ -125,8 +125,7 @@ class BlockNode(Node, Generic[Options, Answer]):
             return
         self._from = message.node or "a node that does not state its name"
         before = self._predictor.parameters
-        # Published parameters that were not identified from samples have the stamp 0.
-        self._predictor.set_parameters(parameters, parameters.stamp_ns or None)
+        self._predictor.follow_set(parameters)
         if self._predictor.parameters is not before:
             self.get_logger().debug(f"using parameters {parameters.set_id}")
 

@@ -14,11 +14,11 @@ from rclpy.duration import Duration
 from std_msgs.msg import Header
 
 from mr_damper_ros.control.force_controller import (
-    REMEDY,
     Command,
     ForceController,
     ForceControlSettings,
 )
+from mr_damper_ros.control.licence import REMEDY
 from mr_damper_ros.nodes import quality, rclpy_internals
 from mr_damper_ros.nodes.block_node import BlockNode, SetOptions
 from mr_damper_ros.nodes.command_topic import COMMAND_DEPTH, COMMAND_TOPIC, DEMAND_TOPIC
@@ -30,6 +30,7 @@ from mr_damper_ros.settings.option_table import group, option
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.signals.uniform_grid import GridSettings
+from mr_damper_ros.tracking.validity import DoubtKind
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         self._message = CurrentCommand(
             header=Header(frame_id=options.frame_id), commander=self.get_fully_qualified_name()
         )
-        self._refused_force = ""
+        self._refused_force = self._told = ""
         self._command = quality.publisher(
             self, CurrentCommand, COMMAND_TOPIC, quality.stream(COMMAND_DEPTH)
         )
@@ -136,6 +137,9 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         continuity = command.prediction.continuity
         if continuity:
             self.get_logger().warning(continuity, throttle_duration_sec=10.0)
+        if command.doubt.kind is DoubtKind.OUT_OF_RANGE and command.doubt.sentence != self._told:
+            self._told = command.doubt.sentence
+            self.get_logger().warning(f"no control: {self._told}")
         # The force of this block follows from the command after the previous block.
         before, self._last = self._last, command
         if before is not None and not before.doubt:

@@ -19,6 +19,7 @@ from mr_damper_msgs.msg import (
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Header
 
+from mr_damper_ros.models.domain import Origin
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, check_name, known_model
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import (
@@ -159,6 +160,7 @@ def parameters_message(parameters: ParameterSet, frame_id: str, node: str) -> Da
         names=list(parameters.law.parameter_names),
         units=list(parameters.law.units.values()),
         observable=parameters.observable.tolist(),
+        origin=int(parameters.origin),
         node=node,
         peak_velocity_min=low[0],
         peak_velocity_max=high[0],
@@ -169,6 +171,16 @@ def parameters_message(parameters: ParameterSet, frame_id: str, node: str) -> Da
         **{name: getattr(parameters, name) for name in _OF_A_SET},
         **{name: to_field(getattr(parameters, name)) for name in _ARRAYS_OF_A_SET},
     )
+
+
+def _origin(number: int) -> Origin:
+    """The origin with this number; raises ParameterError if there is none."""
+    try:
+        return Origin(number)
+    except ValueError as error:
+        raise ParameterError(
+            f"the origin of the parameters is {number}: the origins are 0 to {max(Origin)}"
+        ) from error
 
 
 def parameter_set(message: DamperParameters) -> ParameterSet:
@@ -189,6 +201,7 @@ def parameter_set(message: DamperParameters) -> ParameterSet:
         set_id=message.id,
         stamp_ns=to_nanoseconds(message.header.stamp),
         observable=np.array(message.observable, dtype=bool),
+        origin=_origin(message.origin),
         peak_velocity_range=(message.peak_velocity_min, message.peak_velocity_max),
         dependence_range=held if any(held) else None,
         current_range=(message.current_min, message.current_max),

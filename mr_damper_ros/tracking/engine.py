@@ -150,4 +150,4 @@ class Engine:
             # The identifier publishes the report before the set.
             self.predictor.follow_report(event.report)
             if event.parameters is not None:
-                self.predictor.set_parameters(event.parameters, event.parameters.stamp_ns or None)
+                self.predictor.follow_set(event.parameters)

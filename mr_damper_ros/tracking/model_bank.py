@@ -19,12 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.models.parameter_set import (
-    EARLY_SOURCE,
-    GLOBAL_SOURCE,
-    LONGEST_NAME,
-    ParameterSet,
-)
+from mr_damper_ros.models.domain import Domain, Origin, Span
+from mr_damper_ros.models.parameter_set import LONGEST_NAME, ParameterSet
 from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array, RollingRows
 from mr_damper_ros.signals.blocks import NANOSECONDS
@@ -55,9 +51,6 @@ at most twice the value that changes the rule."""
 _MOST_TRIED = 2000
 """Largest number of samples on which a set is tried; twenty times as many are kept."""
 
-Span = tuple[float, float]
-"""The lowest and the highest current [A] of one window, or of several."""
-
 
 @dataclass(frozen=True, eq=False)
 class KnownSet:
@@ -87,28 +80,17 @@ class KnownSet:
             a == b or abs(a - b) <= SAME_CURRENT for a, b in currents
         )
 
-    def covers(self, other: KnownSet) -> bool:
-        """Whether the current range of the set includes the range of the ``other`` set."""
-        return all(
-            within(current, self.parameters.current_range)
-            for current in other.parameters.current_range
-            if math.isfinite(current)
-        )
-
     def is_for(self, speed: float, current: float, margin: float) -> bool:
         """Whether a peak velocity [m/s] and a current [A] are in the range of the set.
 
         ``margin`` is the relative margin of the peak velocity.
         """
-        slow, fast = self.parameters.peak_velocity_range
-        return bool(
-            slow * (1.0 - margin) <= speed <= fast * (1.0 + margin)
-            and within(current, self.parameters.current_range)
-        )
+        domain = self.parameters.domain
+        return domain.contains_speed(speed, margin) and domain.contains(current)
 
     def fits_at(self, current: float) -> bool:
         """Whether a current [A] is in the range of its windows."""
-        return self.currents is None or within(current, self.currents)
+        return self.currents is None or Domain(currents=self.currents).contains(current)
 
     def confirmed(self, set_id: str, stamp_ns: int, currents: Span | None) -> KnownSet:
         """Return the set; a window of these currents has confirmed the set named ``set_id``."""
@@ -125,16 +107,11 @@ class KnownSet:
         return replace(self, confirmed_ns=self.confirmed_ns + leap_ns)
 
 
-def within(current: float, span: Span) -> bool:
-    """Whether a current [A] lies in a range, widened by the tolerance of equal currents."""
-    return span[0] - SAME_CURRENT <= current <= span[1] + SAME_CURRENT
-
-
 def _joined(one: Span | None, other: Span | None) -> Span | None:
     """The range that covers both; None is an unknown range."""
     if one is None or other is None:
         return one or other
-    return min(one[0], other[0]), max(one[1], other[1])
+    return Domain(currents=one).joined(Domain(currents=other)).currents
 
 
 def force_ratio(present: Array, whole: Array) -> float:
@@ -246,31 +223,28 @@ class ModelBank:
         self._take(found)
         return True
 
-    def add(
-        self, parameters: ParameterSet, stamp_ns: int | None, half_cycle: float = math.nan
-    ) -> None:
+    def add(self, parameters: ParameterSet, half_cycle: float = math.nan) -> None:
         """Add a set and use it, unless the schedule has a better set for the present current.
 
-        ``stamp_ns`` and ``half_cycle`` are as in :class:`KnownSet`; a set without a stamp was
-        loaded by a user and clears the bank. A set that is not newer than the bank, or belongs to
-        another law, clears it except for the loaded set, which no set without evidence replaces. A
-        set for fewer currents replaces the loaded set only if its force is wrong.
+        ``half_cycle`` is as in :class:`KnownSet`. A set loaded by a user clears the bank. A set
+        that is not newer than the bank, or belongs to another law, clears it except for the loaded
+        set, which no start set replaces. A set for fewer currents replaces the loaded set only if
+        its force is wrong.
         """
-        given = self._given
-        if given is not None and not parameters.has_evidence:
+        given, origin = self._given, parameters.origin
+        stamp_ns = parameters.domain.confirmed_ns
+        if given is not None and not origin.is_evidence:
             if not self.uses_given:
                 self._forget(given)
             return
-        if stamp_ns is None:
-            parameters = parameters.as_given()
         aged = stamp_ns is not None and self._newest_ns is not None and stamp_ns > self._newest_ns
         same_law = all(
             each.parameters.model == parameters.model or self._is_given(each) for each in self._sets
         )
         if not (aged and same_law):
-            self._forget(given if stamp_ns is not None else None)
+            self._forget(given if origin.is_identified else None)
         self._newest_ns = stamp_ns
-        searched = parameters.source == GLOBAL_SOURCE or stamp_ns is None
+        searched = origin not in (Origin.WINDOW, Origin.EARLY)
         whole = searched and parameters.law.knows_currents(parameters.observable)
         reported_id, currents = self._reported
         if whole:
@@ -280,16 +254,16 @@ class ModelBank:
         elif reported_id != parameters.set_id:
             currents = None
         found = KnownSet(parameters, stamp_ns, half_cycle, currents, whole)
-        if stamp_ns is None:
-            self._given = found if parameters.has_evidence else None
-        elif self.uses_given and not found.covers(self._sets[0]):
+        if not origin.is_identified:
+            self._given = found if origin.is_evidence else None
+        elif self.uses_given and not parameters.domain.covers(self._sets[0].parameters.domain):
             others = [each for each in self._sets[1:] if not found.replaces(each)]
             self._sets = [self._sets[0], found, *others][:_MOST_SETS]
             return
         self._found = found
         if whole:
             self._whole = found
-        elif parameters.source == EARLY_SOURCE:
+        elif origin is Origin.EARLY:
             # After a sudden change the force is known at the present current only.
             self._at_currents = []
         if not whole and currents is not None:
@@ -383,13 +357,13 @@ class ModelBank:
         if self._rows.count:
             speed = _root_mean_square(self._newest().motion.peak_velocity)
         return chosen.is_for(speed, current, self._margin) and (
-            not chosen.parameters.law.remembers or within(before, chosen.parameters.current_range)
+            not chosen.parameters.law.remembers or chosen.parameters.domain.contains(before)
         )
 
     def _whole_now(self, current: float) -> KnownSet | None:
         """The set for all currents, scaled to the damper's present force; None without one."""
         whole, present = self._whole, self._sets[0]
-        if whole is None or not within(current, whole.parameters.current_range):
+        if whole is None or not whole.parameters.domain.contains(current):
             return None
         parameters, used = whole.parameters, present.parameters
         if present.whole:
@@ -489,7 +463,7 @@ class ModelBank:
             found = self._better(allowed, wrong=wrong)
             return self.with_other_branch_rule() if found is None and wrong else found
         # A start set says nothing about reversals, and no sample counts twice.
-        evident = self._measured and self._sets[0].parameters.has_evidence
+        evident = self._measured and self._sets[0].parameters.origin.is_evidence
         if not evident or self._since_turning < self._kept:
             return None
         return self.with_other_branch_rule()

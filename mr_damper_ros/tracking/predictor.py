@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
@@ -22,6 +22,7 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
+from mr_damper_ros.models.domain import Origin
 from mr_damper_ros.models.parameter_set import ParameterSet, check_set
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.settings.option_table import option
@@ -29,6 +30,7 @@ from mr_damper_ros.signals.arrays import Array, Mask
 from mr_damper_ros.signals.blocks import KEEP_CURRENT, SampleBlock, ZeroOrderHold
 from mr_damper_ros.signals.uniform_grid import GridSettings, Placed, UniformGrid
 from mr_damper_ros.tracking.bumpless_transfer import ForceInUse
+from mr_damper_ros.tracking.candidate_sets import CandidateSets
 from mr_damper_ros.tracking.model_bank import ModelBank
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.residual_monitor import LoadCellZero, ResidualMonitor
@@ -143,8 +145,14 @@ _PART_TIME = 0.01
 and each part uses what was learnt from the previous part. A long block is therefore predicted as
 well as several short ones."""
 
-_SINE = np.arange(0.0, 2.0, 0.01)
-"""Times [cycles] at which a sine is sampled to find the largest force of a set."""
+_UNKNOWN_MOTION = (DoubtKind.FROZEN, DoubtKind.SETTLING, DoubtKind.AT_REST)
+"""Reasons for which the motion does not determine the force."""
+
+_COMPARABLE = (
+    *(DoubtKind.NONE, DoubtKind.OUT_OF_RANGE, DoubtKind.TOO_LARGE, DoubtKind.DRIVING),
+    *(DoubtKind.WRONG, DoubtKind.REFUSED),
+)
+"""Reasons that concern the set, so that the measured force is evidence about other sets."""
 
 _AT_REST = "the damper is at rest: its force depends on how it came to rest"
 
@@ -153,10 +161,15 @@ class ForcePredictor:
     """Predicts the force of each block as it arrives."""
 
     def __init__(
-        self, settings: PredictorSettings | None = None, grid: GridSettings | None = None
+        self,
+        settings: PredictorSettings | None = None,
+        grid: GridSettings | None = None,
+        candidates: CandidateSets | None = None,
     ) -> None:
         settings = settings or PredictorSettings()
         self._settings = settings
+        self.candidates = candidates
+        """The sets that are predicted in the background, for a controller; None without one."""
         margin, measured = settings.velocity_margin, settings.maximum_error > 0.0
         self._bank = ModelBank(margin, gradual=settings.gradual_reversal, measured=measured)
         self._current = ZeroOrderHold(keep=KEEP_CURRENT)
@@ -176,6 +189,7 @@ class ForcePredictor:
         self._begun_at = 0
         # The work on the newest samples that is left for later.
         self._unlearned: Callable[[], None] | None = None
+        self._uncompared: Callable[[], None] | None = None
         self._newest_kind = DoubtKind.NONE
         self.tried = -math.inf
         """Highest current [A] under trial. Up to it, only the measured force decides validity."""
@@ -204,24 +218,39 @@ class ForcePredictor:
     # Inputs other than samples
 
     def set_parameters(self, parameters: ParameterSet, confirmed_ns: int | None = None) -> None:
-        """Predict with this set from the next block on, unless the bank has a better one.
+        """Predict with this set from the next block on.
 
-        ``confirmed_ns`` is the stamp of the last sample that the set is known to fit; None for a
-        set that does not age, such as one loaded by a user. A set with a stamp takes effect by
-        bumpless transfer, a set without one at once. :meth:`ModelBank.add` describes which sets
-        replace a loaded set. The state of the law is recomputed.
+        ``confirmed_ns`` is the stamp of the last sample of this stream that the set is known to
+        fit; None for a set loaded by a user, which does not age. Raises ParameterError for anything
+        but a set.
         """
         check_set(parameters)
+        if confirmed_ns is None:
+            self.follow_set(parameters.as_given())
+        else:
+            identified = parameters.origin.is_identified
+            origin = parameters.origin if identified else Origin.WINDOW
+            self.follow_set(replace(parameters, stamp_ns=confirmed_ns, origin=origin))
+
+    def follow_set(self, parameters: ParameterSet) -> None:
+        """Process a set published by the identifier.
+
+        It is used from the next block on, unless the bank has a better one, and an identified set
+        takes effect by bumpless transfer. :meth:`ModelBank.add` describes which sets replace a
+        loaded set. The state of the law is recomputed.
+        """
         self._refused.forget()
         if self._bank.is_in_use(parameters):
             return
         before = self._bank.present
         half_cycle = math.nan if self._motion is None else self._motion.centre.usual_half_cycle
-        self._bank.add(parameters, confirmed_ns, half_cycle)
-        if confirmed_ns is None:
+        self._bank.add(parameters, half_cycle)
+        if self.candidates is not None:
+            self.candidates.add(parameters)
+        if not parameters.origin.is_identified:
             self._zero = LoadCellZero()
         if self._bank.present is not before:
-            self._use_present(fade=confirmed_ns is not None)
+            self._use_present(fade=parameters.origin.is_identified)
 
     def follow_report(self, report: Report) -> None:
         """Process the identifier's report on a window."""
@@ -260,9 +289,10 @@ class ForcePredictor:
             self._motion.catch_up()
 
     def _finish_learning(self) -> None:
-        unlearned, self._unlearned = self._unlearned, None
-        if unlearned is not None:
-            unlearned()
+        for work in (self._unlearned, self._uncompared):
+            if work is not None:
+                work()
+        self._unlearned = self._uncompared = None
 
     def _learn(
         self,
@@ -279,8 +309,9 @@ class ForcePredictor:
         ``known`` says whether the motion determines the force. The force of the first ``bridged``
         samples was not measured.
         """
-        follower = self._motion
+        follower, parameters = self._motion, self.parameters
         assert follower is not None
+        assert parameters is not None
         half_cycle, part = follower.centre.usual_half_cycle, slice(bridged, None)
         if known:
             measured = np.where(np.arange(force.size) < bridged, np.nan, block.force)
@@ -292,7 +323,12 @@ class ForcePredictor:
             current[part],
             half_cycle,
             steady=follower.steady,
-            largest=partial(self._largest_force, half_cycle, motion, float(current[-1])),
+            largest=partial(
+                parameters.largest_in_sine,
+                float(motion.peak_velocity[-1]),
+                half_cycle,
+                float(current[-1]),
+            ),
         )
         allowed, sensible = self._monitor.allowed, self._newest_kind is not DoubtKind.SENSOR
         if self._bank.uses_given and sensible and allowed < math.inf:
@@ -303,18 +339,6 @@ class ForcePredictor:
             gradual = self._bank.gradual
             self._force.use(chosen.parameters, gradual=gradual, fade=True, restart=True)
             self._monitor.forget_error(error)
-
-    def _largest_force(self, half_cycle: float, motion: Motion, current: float) -> float:
-        """Largest force [N] of the set at a current, in a sine of the present half-cycle [s]."""
-        assert self.parameters is not None
-        time = 2.0 * half_cycle * _SINE
-        phase = 2.0 * math.pi * _SINE
-        amplitude = float(motion.peak_velocity[-1]) * half_cycle / math.pi
-        if not amplitude > 0.0:
-            return math.inf
-        force = self.parameters.force(time, amplitude * np.sin(phase), current)
-        # The first half-cycle is a transient of a law with memory.
-        return float(np.max(np.abs(force[_SINE >= 0.5])))
 
     # From a block to its force
 
@@ -389,8 +413,10 @@ class ForcePredictor:
         self._force = ForceInUse(period)
         self._monitor = ResidualMonitor(period, settings.maximum_error)
         self._zero.restart()
-        self._unlearned = None
+        self._unlearned = self._uncompared = None
         self._bank.forget_samples()
+        if self.candidates is not None:
+            self.candidates.restart()
 
     def _predict(self, block: SampleBlock, bridged: int, stale: str) -> _Part:
         assert self._motion is not None
@@ -417,6 +443,7 @@ class ForcePredictor:
         of_set = of_set + self._zero.follow(block.sample_count, block.period, counts=given)
         found = self._objections_to_set(block, bridged, motion, current, of_set)
         self._newest_kind = found[0].kind if found else DoubtKind.NONE
+        self._follow_candidates(block, bridged, motion, current)
         force = self._force.blended(of_set)
         if self._force.fading:
             arrived = force[bridged:], block.force[bridged:]
@@ -424,6 +451,28 @@ class ForcePredictor:
         if stale:
             found.append(Objection(DoubtKind.OUTDATED, stale))
         return _Part(force, motion.velocity, found, motion, current)
+
+    def _follow_candidates(
+        self, block: SampleBlock, bridged: int, motion: Motion, current: Array
+    ) -> None:
+        """Predict the sets in the background, and compare them with the measured force later."""
+        candidates, follower = self.candidates, self._motion
+        if candidates is None:
+            return
+        assert follower is not None
+        assert self.parameters is not None
+        candidates.use(self.parameters)
+        if self._newest_kind in _UNKNOWN_MOTION:
+            candidates.restart()
+            return
+        half_cycle, gradual = follower.centre.usual_half_cycle, self._bank.gradual
+        candidates.follow(motion, current, block.period, half_cycle, gradual=gradual)
+        if self._newest_kind in _COMPARABLE:
+            self._uncompared = partial(
+                candidates.compare,
+                *(block.force[bridged:], current, self._monitor.recent, block.period),
+                follower.centre,
+            )
 
     def _objections_to_set(
         self, block: SampleBlock, bridged: int, motion: Motion, current: Array, force: Array
@@ -442,6 +491,15 @@ class ForcePredictor:
         # unknown, outside the identified range and after rejected windows.
         unproven = not (monitor.holds and follower.centre.reversals)
         found: list[Objection] = []
+        frozen = follower.freeze.speed
+        if frozen > 0.0:
+            found.append(
+                Objection(
+                    DoubtKind.FROZEN,
+                    f"the displacement has stopped within a sample at {frozen:.2g} m/s: is its "
+                    "sensor connected, and does its signal still change?",
+                )
+            )
         if unsettled:
             found.append(Objection(DoubtKind.SETTLING, unsettled))
         if resting:

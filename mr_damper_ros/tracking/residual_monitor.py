@@ -287,12 +287,15 @@ class ResidualMonitor:
     """Monitors the forces of samples ``period`` [s] apart, with the statistics ``recent``.
 
     ``maximum_error`` is relative to the peak of the measured force; 0 ignores the measured force.
+    Without ``recent`` the monitor has statistics of its own.
     """
 
-    def __init__(self, period: float, maximum_error: float) -> None:
+    def __init__(
+        self, period: float, maximum_error: float, recent: ForceStatistics | None = None
+    ) -> None:
         self._period = period
         self._limit = maximum_error
-        self.recent = ForceStatistics(period)
+        self.recent = ForceStatistics(period) if recent is None else recent
         self._time = _SHORTEST
         # Mean square [1] of the error over the peak.
         self._square = 0.0

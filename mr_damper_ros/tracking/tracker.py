@@ -31,10 +31,10 @@ from mr_damper_ros.estimation.window_fit import (
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.domain import Domain, Origin
 from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.models.parameter_set import (
     DEFAULT_MODEL,
-    EARLY_SOURCE,
     ParameterSet,
     check_set,
     start_set,
@@ -99,6 +99,10 @@ _POINT_GROWTH = 1.5
 
 _SENSOR_VERDICTS = (Verdict.FAULT_OF_DATA, Verdict.DISTURBED, Verdict.BEYOND_LIMITS)
 """Verdicts that a sensor fault may cause. A window with such a verdict does not select a set."""
+
+
+EARLY_METHOD = "force_scale"
+"""Method of an early fit, which scales only the gain parameters after a sudden change of force."""
 
 
 @dataclass(frozen=True)
@@ -481,7 +485,7 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
     judgement = gatekeeper.judge(
         evidence,
         KnownForce(speed, current, size, window.largest_force),
-        holds=bool(holds and all(_holds(running, (speed, speed), (current, current)))),
+        holds=bool(holds and all(_holds(running, Domain((speed, speed), (current, current))))),
         same_motion=windows_before >= ENOUGH_TO_COMPARE,
         one_point=one_point,
         objection=partial(implausible, found),
@@ -639,7 +643,8 @@ def _check_change(job: Job, window: Window) -> Outcome:
         scale.value,
         scale.standard_error,
         set_id=f"early-{memory.windows + 1}",
-        source=EARLY_SOURCE,
+        source=EARLY_METHOD,
+        origin=Origin.EARLY,
         nrmse=evidence.nrmse_after,
         stamp_ns=raw.end_ns,
         largest_force=float(np.fmax(changed.largest_force, running.largest_force)),
@@ -649,7 +654,7 @@ def _check_change(job: Job, window: Window) -> Outcome:
         return unchanged
     problem = WindowProblem(model, changed, found.values, held=found.held_range)
     gains = np.where(problem.strength, problem.start, 0.0) * (scale.standard_error / scale.value)
-    fit = fit_of(problem, problem.start, np.outer(gains, gains), method=EARLY_SOURCE, evaluations=2)
+    fit = fit_of(problem, problem.start, np.outer(gains, gains), method=EARLY_METHOD, evaluations=2)
     of_window = force_scale(model, changed, fit, memory.points.baselines)
     memory.level *= 1.0 + evidence.force_change
     memory.windows += 1
@@ -707,15 +712,10 @@ def _search(job: Job, control: Control | None) -> Outcome:
 # -- the set of a window ---------------------------------------------------------------------
 
 
-def _holds(
-    running: ParameterSet, speeds: tuple[float, float], currents: tuple[float, float]
-) -> tuple[bool, bool]:
-    """Whether ranges of speeds [m/s] and of currents [A] lie within those of a set."""
-    (slowest, fastest), (low, high) = running.peak_velocity_range, running.current_range
-    return (
-        slowest / SAME_SPEED <= speeds[0] and speeds[1] <= fastest * SAME_SPEED,
-        low - SAME_CURRENT <= currents[0] and currents[1] <= high + SAME_CURRENT,
-    )
+def _holds(running: ParameterSet, found: Domain) -> tuple[bool, bool]:
+    """Whether the speeds, and the currents, of a domain lie within those of the running set."""
+    known = running.domain
+    return known.covers_speeds(found, SAME_SPEED), known.covers(found)
 
 
 def _held_ranges(running: ParameterSet, window: Window) -> list[tuple[float, float]]:
@@ -747,7 +747,7 @@ def _wider_speeds(
     if math.isnan(frequency):
         # In a motion other than a sine, low values contain no information on the law at low speed.
         found = max(found[0], slowest), max(found[1], slowest)
-    return _wider(found, known)
+    return min(found[0], known[0]), max(found[1], known[1])
 
 
 def _new_set(
@@ -775,13 +775,14 @@ def _new_set(
     velocity_range, largest_force = window.peak_velocity_range, window.largest_force
     current_range = float(window.current.min()), float(window.current.max())
     knows = model.knows_speeds(running.observable), model.knows_currents(running.observable)
-    within = _holds(running, velocity_range, current_range)
+    of_window = Domain(velocity_range, current_range)
+    within = _holds(running, of_window)
     known = [similar and one and (agrees or two) for one, two in zip(knows, within, strict=True)]
     if known[0]:
         speeds = running.peak_velocity_range
         velocity_range = _wider_speeds(speeds, velocity_range, window.motion.frequency)
     if known[1]:
-        current_range = _wider(current_range, running.current_range)
+        current_range = of_window.joined(running.domain).currents
     if any(known):
         # If the largest force is unknown for the running set, it is also unknown for the new set.
         largest_force = float(np.maximum(largest_force, running.largest_force))
@@ -789,6 +790,7 @@ def _new_set(
         running,
         values=fit.parameters,
         source=fit.method,
+        origin=Origin.WINDOW,
         nrmse=evidence.nrmse_after,
         standard_errors=errors,
         discrepancies=discrepancies,
@@ -799,10 +801,6 @@ def _new_set(
         largest_force=largest_force,
         **names,
     )
-
-
-def _wider(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
-    return min(one[0], other[0]), max(one[1], other[1])
 
 
 # -- the tracker -----------------------------------------------------------------------------

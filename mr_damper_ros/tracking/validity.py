@@ -56,6 +56,8 @@ class DoubtKind(IntEnum):
     """The predicted force differs too much from the measured force."""
     REFUSED = 12
     """The identifier has rejected the newest windows."""
+    FROZEN = 13
+    """The displacement has stopped within a sample."""
 
     @property
     def grave(self) -> bool:

@@ -8,12 +8,12 @@ import known
 import numpy as np
 import pytest
 
-from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.cusum import SLACK, ChangeWatch
 from mr_damper_ros.tracking.force_scale import measured_scale
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.tracker import EARLY_METHOD, WindowTracker
 
 POINT = (0.03, 1.0)
 
@@ -105,7 +105,7 @@ def stream(
 
 
 def early(reports: list[Report]) -> list[Report]:
-    return [report for report in reports if report.method == EARLY_SOURCE]
+    return [report for report in reports if report.method == EARLY_METHOD]
 
 
 def seconds(report: Report) -> float:

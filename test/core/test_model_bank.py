@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.models.domain import Origin
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.tracking.model_bank import ModelBank
@@ -20,7 +21,7 @@ GIVEN = ParameterSet(
 
 def identified(set_id: str, current_range: tuple[float, float], **changes: Any) -> ParameterSet:
     return replace(
-        GIVEN, set_id=set_id, source="nelder_mead", current_range=current_range, **changes
+        GIVEN, set_id=set_id, origin=Origin.WINDOW, current_range=current_range, **changes
     )
 
 
@@ -28,7 +29,7 @@ def sets_of(*added: tuple[ParameterSet, int | None]) -> ModelBank:
     """Stamped sets in the model bank after these were added."""
     sets = ModelBank(0.25, gradual=True)
     for parameters, stamp_ns in added:
-        sets.add(parameters, stamp_ns)
+        sets.add(replace(parameters, stamp_ns=stamp_ns or 0))
     return sets
 
 
@@ -72,5 +73,5 @@ def test_a_set_fits_at_the_currents_of_the_windows_that_confirm_it() -> None:
     assert sets.present.currents == (0.4, 1.0)
     assert [sets.present.fits_at(current) for current in (0.3, 0.7, 1.2)] == [False, True, False]
     # The windows of one set say nothing of the next.
-    sets.add(identified("next", (0.0, 2.0)), 9)
+    sets.add(identified("next", (0.0, 2.0), stamp_ns=9))
     assert (sets.present.parameters.set_id, sets.present.currents) == ("next", None)

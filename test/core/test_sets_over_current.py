@@ -11,7 +11,8 @@ import pytest
 from benchmarks.dampers import DAMPERS
 from mr_damper_ros.emulation.emulator import CurrentSchedule, EmulatedDamper, EmulatedRig
 from mr_damper_ros.emulation.motions import SineMotion
-from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, ParameterSet
+from mr_damper_ros.models.domain import Origin
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
@@ -57,7 +58,7 @@ def whole_of(damper: ParameterSet) -> ParameterSet:
         damper,
         observable=np.ones(damper.values.size, dtype=bool),
         set_id="whole",
-        source=GLOBAL_SOURCE,
+        origin=Origin.GLOBAL,
         peak_velocity_range=(0.02, 0.05),
         current_range=(0.2, 1.4),
         stamp_ns=known.T0,
@@ -80,12 +81,12 @@ def window_of(damper: ParameterSet, current: float, set_id: str) -> ParameterSet
         slope, bend = of["alpha_1"] * current, of["alpha_2"] * current**2
         alpha = (1.0 + slope + bend) / (1.0 + 0.3 * (slope + bend))
         found = with_values(found, c=1.0 + of["c_1"] * current / of["c"], alpha=alpha)
-    return replace(whole_of(found), set_id=set_id, source="nelder_mead")
+    return replace(whole_of(found), set_id=set_id, origin=Origin.WINDOW)
 
 
 def poor(damper: ParameterSet) -> ParameterSet:
     """A set for all currents that is right at :data:`LOW` only."""
-    return replace(window_of(damper, LOW, "whole"), source=GLOBAL_SOURCE)
+    return replace(window_of(damper, LOW, "whole"), origin=Origin.GLOBAL)
 
 
 class Said(NamedTuple):

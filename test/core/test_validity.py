@@ -399,8 +399,8 @@ def test_blocks_that_follow_each_other_are_joined() -> None:
     np.testing.assert_array_equal(second.force, RUN.force[60:100])
 
 
-def test_a_displacement_that_sticks_is_a_rest() -> None:
+def test_a_displacement_that_sticks_is_frozen() -> None:
     stuck = float(RUN.displacement[CHANGE])
     predictions = predicted(spoilt(RUN.displacement, stuck))
     assert seconds_until_doubt(predictions) <= 2.0 * SOON
-    assert kinds(predictions, 5000) == {DoubtKind.AT_REST}
+    assert kinds(predictions, 5000) == {DoubtKind.FROZEN}

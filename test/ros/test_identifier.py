@@ -22,6 +22,7 @@ from waiting import is_gone, until
 
 import mr_damper_ros as mr
 from mr_damper_ros.io.bag_reader import read_bag
+from mr_damper_ros.models.domain import Origin
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.nodes import quality
@@ -244,13 +245,15 @@ def test_sets_are_saved_loaded_reset_and_survive_a_restart(
     assert results.sets[-1].id == "literature"
     assert call(LoadParameters, "load_parameters", name="warm").success
     now_running(last)
-    assert results.sets[-1].values == identified.values
+    loaded = results.sets[-1]
+    assert loaded.values == identified.values
+    assert (identified.origin, loaded.origin) == (Origin.WINDOW, Origin.USER)
     identifier.stop()
 
     again = start("identifier", state_dir=tmp_path)
     heard = len(results.sets)
     listener.until(lambda: len(results.sets) > heard, "the set after the restart")
-    assert str(results.sets[-1]) == str(identified)
+    assert str(results.sets[-1]) == str(loaded)
     os.kill(worker_pid(listener), 0)
     again.send_signal(signal.SIGKILL)
     again.wait()
@@ -258,7 +261,7 @@ def test_sets_are_saved_loaded_reset_and_survive_a_restart(
     heard = len(results.sets)
     third = start("identifier", state_dir=tmp_path)
     listener.until(lambda: len(results.sets) > heard, "the set after the crash")
-    assert str(results.sets[-1]) == str(identified)
+    assert str(results.sets[-1]) == str(loaded)
     third.stop()
 
     (tmp_path / "identifier.yaml").write_text("# mr_damper_ros parameters, half a li")

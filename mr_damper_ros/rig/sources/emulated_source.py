@@ -244,7 +244,16 @@ def _damper(rig: EmulatedOptions) -> emulator.Damper:
 
 _BUMP = "bump"
 _INVENTED = "invented"
-_CAR = QuarterCar()
+
+
+@dataclass(frozen=True)
+class _Vehicle(QuarterCar):
+    """A wheel of a loaded lorry: the forces of the invented damper matter, as in no light car."""
+
+    body: float = with_default(QuarterCar, "body", 4000.0)
+    wheel: float = with_default(QuarterCar, "wheel", 600.0)
+    spring: float = with_default(QuarterCar, "spring", 160e3)
+    tyre: float = with_default(QuarterCar, "tyre", 800e3)
 
 
 @dataclass(frozen=True)
@@ -268,7 +277,8 @@ class QuarterCarOptions(_RigOptions):
         "start.",
         choices=(*ROUGHNESS, _BUMP),
     )
-    speed: float = option(20.0, "Speed of the car [m/s].", within=(0.1, 100.0))
+    speed: float = option(8.0, "Speed of the car [m/s].", within=(0.1, 100.0))
+    car: _Vehicle = group(_Vehicle, flat=True)
     hot_force: float = with_default(_RigOptions, "hot_force", HOT_FORCE)
     current: float = with_default(_RigOptions, "current", 0.0)
     coil_time_constant: float = with_default(_RigOptions, "coil_time_constant", 0.01)
@@ -305,7 +315,7 @@ class QuarterCarSource(_EmulatedSupply):
         supply = emulator.SupplySetpoint(self.commander.step(time.monotonic()))
         rig = PlantRig(
             self._damper,
-            _CAR.plant,
+            given.car.plant,
             road,
             supply,
             settings=self._rig(start_ns),
