@@ -21,7 +21,6 @@ from mr_damper_ros.models.misfit import ChosenParameters, Misfit
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import SIGMAS, Array
-from mr_damper_ros.signals.error_sums import pooled
 
 LARGEST_NRMSE = 0.3
 """Largest acceptable NRMSE of a run; above it, the set explains too little of the force."""
@@ -62,7 +61,7 @@ def causes(
     findings = _times(found, [window for run in runs for window in run.windows])
     findings += [each for run in runs for each in _steps(run.comparison)]
     if not (levelled or findings):
-        findings += _zeros([run.comparison for run in runs])
+        findings += _zeros(found, runs)
     worst = max(runs, key=lambda run: run.nrmse)
     if not findings:
         longest = max(worst.windows, key=lambda window: window.sample_count)
@@ -364,20 +363,41 @@ def _left(columns: Sequence[Array], values: Array) -> tuple[float, Array]:
     return float(rest @ rest), np.asarray(factors)
 
 
-def _zeros(runs: Sequence[Comparison]) -> list[Finding]:
-    """A finding on the run whose zero differs most from those of the others, if it matters."""
-    if len(runs) < 2:
+_ROUNDS, _MOST_RUNS = 3, 20
+"""Number of fits in which the zeros of runs are found, and largest number of these runs."""
+
+
+def _zeros(found: ParameterSet, runs: Sequence[Explained]) -> list[Finding]:
+    """A finding on the run whose zero differs most from those of the others, if it matters.
+
+    The set has made up for the zeros in part, so that they are found by fits.
+    """
+    if not (1 < len(runs) <= _MOST_RUNS and found.observable.any()):
         return []
-    zeros = np.array([float(np.nanmean(run.measured - run.predicted)) for run in runs])
-    apart = zeros - np.median(zeros)
-    place = int(np.argmax(np.abs(apart)))
-    errors = pooled(run.error for run in runs)
-    rest = max(errors.rmse**2 - float(np.mean(zeros**2)), 0.0)
-    spread = errors.rmse / errors.nrmse if errors.nrmse else math.inf
-    if not matters(float(np.std(zeros)) / spread, math.sqrt(rest) / spread):
+    windows = [
+        _excerpt(max(run.windows, key=lambda window: window.sample_count)).thinned(_SAMPLES)
+        for run in runs
+    ]
+    here = last = _refitted(found, windows, found.values)
+    zeros, moved = np.zeros(len(runs)), windows
+    for _ in range(_ROUNDS):
+        fitted = replace(found, values=last.values)
+        off = np.array([_zero_of(fitted, window) for window in moved])
+        zeros += off - np.median(off)
+        moved = [replace(w, force=w.force - z) for w, z in zip(windows, zeros, strict=True)]
+        last = _refitted(found, moved, last.values)
+    if here.nrmse <= max(_RATIO * last.nrmse, last.nrmse + _POINTS):
         return []
-    found = Kind.ZERO_DIFFERS.found("force", value=float(apart[place]), step=float(apart[place]))
-    return [replace(found, source=runs[place].name)]
+    place = int(np.argmax(np.abs(zeros)))
+    differs = Kind.ZERO_DIFFERS.found("force", value=zeros[place], step=zeros[place])
+    return [replace(differs, source=runs[place].comparison.name)]
+
+
+def _zero_of(found: ParameterSet, window: Window) -> float:
+    """Mean [N] of the measured force minus that of the set."""
+    known = found.settled(window)
+    off = (window.force - found.window_force(window, gradual=None))[known]
+    return float(off.mean()) if off.size else 0.0
 
 
 # -- another law -----------------------------------------------------------------------------

@@ -451,7 +451,7 @@ def test_a_gain_that_changes_twice_is_named() -> None:
     assert Kind.GAIN_CHANGES in [each.kind for each in found.findings]
 
 
-@pytest.mark.parametrize(("zero", "severity"), [(900.0, [WARN]), (15.0, [])])
+@pytest.mark.parametrize(("zero", "severity"), [(250.0, [WARN]), (15.0, [])])
 def test_a_zero_that_differs_between_runs_is_named(zero: float, severity: list[int]) -> None:
     runs = [
         recording(replace(sound(name=name), force=sound(name=name).force + offset), name=name)
