@@ -32,7 +32,6 @@ _SAMPLES, _EXCERPT = 2000, 40_000
 """Approximate number of samples of a window that are fitted to find a cause, and number of those
 from which they are drawn."""
 
-
 _POOR = 0.08
 """NRMSE above which fits from other starts and of other laws are tried."""
 
@@ -87,7 +86,7 @@ class _Refit(NamedTuple):
 def _refitted(
     found: ParameterSet, windows: Sequence[Window], start: Array, *, anew: bool = False
 ) -> _Refit:
-    """Least squares over the parameters that are observable in the set.
+    """Least squares over the parameters that are observable in the set; infinite if it fails.
 
     ``anew``: a poor result is compared with that from a fit of the first window.
     """
@@ -97,7 +96,10 @@ def _refitted(
     )
     problem = ChosenParameters(misfit, start, np.flatnonzero(found.observable).tolist())
     search = LocalSearch(problem, problem.start)
-    search.least_squares(tolerance=1e-4, most_steps=25)
+    try:
+        search.least_squares(tolerance=1e-4, most_steps=25)
+    except (ValueError, ArithmeticError):
+        return _Refit(start, math.inf)
     fitted = replace(found, values=problem.parameters(search.best))
     refit = _Refit(fitted.values, _nrmse_of(fitted, few))
     if not anew or refit.nrmse <= _POOR:
