@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.api.comparison import Comparison
+from mr_damper_ros.data_check.channels import extent
 from mr_damper_ros.data_check.findings import NOTE, WARN, Finding, Kind
 from mr_damper_ros.data_check.samples import skew_finding
 from mr_damper_ros.estimation.local_search import LocalSearch
@@ -365,7 +366,7 @@ def _left(columns: Sequence[Array], values: Array) -> tuple[float, Array]:
     return float(rest @ rest), np.asarray(factors)
 
 
-_ROUNDS, _MOST_RUNS = 3, 20
+_ROUNDS, _MOST_RUNS = 4, 20
 """Number of fits in which the zeros of runs are found, and largest number of these runs."""
 
 
@@ -380,19 +381,33 @@ def _zeros(found: ParameterSet, runs: Sequence[Explained]) -> list[Finding]:
         _excerpt(max(run.windows, key=lambda window: window.sample_count)).thinned(_SAMPLES)
         for run in runs
     ]
-    here = last = _refitted(found, windows, found.values)
-    zeros, moved = np.zeros(len(runs)), windows
-    for _ in range(_ROUNDS):
-        fitted = replace(found, values=last.values)
-        off = np.array([_zero_of(fitted, window) for window in moved])
-        zeros += off - np.median(off)
-        moved = [replace(w, force=w.force - z) for w, z in zip(windows, zeros, strict=True)]
-        last = _refitted(found, moved, last.values)
-    if here.nrmse <= max(_RATIO * last.nrmse, last.nrmse + _POINTS):
+    # A preload of gas is one zero for all runs, which some laws lack.
+    (common, _), (own, zeros) = (_with_zeros(found, windows, common=c) for c in (True, False))
+    if common <= max(_RATIO * own, own + _POINTS):
         return []
-    place = int(np.argmax(np.abs(zeros)))
-    differs = Kind.ZERO_DIFFERS.found("force", value=zeros[place], step=zeros[place])
+    apart = zeros - np.median(zeros)
+    place = int(np.argmax(np.abs(apart)))
+    differs = Kind.ZERO_DIFFERS.found("force", value=float(apart[place]), step=apart[place])
     return [replace(differs, source=runs[place].comparison.name)]
+
+
+def _with_zeros(
+    found: ParameterSet, windows: Sequence[Window], *, common: bool
+) -> tuple[float, Array]:
+    """NRMSE with a zero of each window (m,) [N], or with a ``common`` one, and the zeros."""
+    here = _refitted(found, windows, found.values)
+    middles = np.array([extent(window.force)[0] for window in windows])
+    trials = []
+    for zeros in (np.zeros(len(windows)), np.full(len(windows), middles.mean())):
+        last = here
+        for _ in range(_ROUNDS):
+            moved = [replace(w, force=w.force - z) for w, z in zip(windows, zeros, strict=True)]
+            last = _refitted(found, moved, last.values)
+            trials.append((last.nrmse, zeros))
+            fitted = replace(found, values=last.values)
+            off = np.array([_zero_of(fitted, window) for window in moved])
+            zeros = zeros + (np.mean(off) if common else off)
+    return min(trials, key=lambda trial: trial[0])
 
 
 def _zero_of(found: ParameterSet, window: Window) -> float:
