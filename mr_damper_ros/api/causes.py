@@ -29,9 +29,9 @@ LARGEST_NRMSE = 0.3
 _RATIO, _POINTS = 1.4, 0.02
 """A cause matters if it increases the NRMSE of the set by this factor and by this much."""
 
-_SAMPLES, _EXCERPT = 2000, 40_000
-"""Approximate number of samples of a window that are fitted to find a cause, and number of those
-from which they are drawn."""
+_SAMPLES, _OF_ALL, _EXCERPT = 2000, 6000, 40_000
+"""Approximate number of samples of a window, and of all windows, that are fitted to find a cause,
+and number of samples of a window from which they are drawn."""
 
 _POOR = 0.08
 """NRMSE above which fits from other starts and of other laws are tried."""
@@ -84,6 +84,11 @@ class _Refit(NamedTuple):
     nrmse: float
 
 
+def _thinned(windows: Sequence[Window]) -> list[Window]:
+    most = min(_SAMPLES, _OF_ALL // len(windows))
+    return [window.thinned(most) for window in windows]
+
+
 def _refitted(
     found: ParameterSet, windows: Sequence[Window], start: Array, *, anew: bool = False
 ) -> _Refit:
@@ -91,7 +96,7 @@ def _refitted(
 
     ``anew``: a poor result is compared with that from a fit of the first window.
     """
-    few = [window.thinned(_SAMPLES) for window in windows]
+    few = _thinned(windows)
     misfit = Misfit(
         found.law, [*map(found.held, few)], [float(np.std(window.force)) for window in few], start
     )
@@ -125,7 +130,7 @@ def _nrmse_of(found: ParameterSet, windows: Sequence[Window]) -> float:
 
 def _change(found: ParameterSet, values: Array, windows: Sequence[Window]) -> float:
     """RMS change of the force of the set with other ``values`` (p,), relative to the deviation."""
-    few = [window.thinned(_SAMPLES) for window in windows]
+    few = _thinned(windows)
     other = replace(found, values=values)
     squares = [
         float(np.mean((other.window_force(w) - found.window_force(w)) ** 2) / np.var(w.force))
@@ -377,13 +382,17 @@ def _zeros(found: ParameterSet, runs: Sequence[Explained]) -> list[Finding]:
     """
     if not (1 < len(runs) <= _MOST_RUNS and found.observable.any()):
         return []
-    windows = [
-        _excerpt(max(run.windows, key=lambda window: window.sample_count)).thinned(_SAMPLES)
-        for run in runs
-    ]
+    longest = [max(run.windows, key=lambda window: window.sample_count) for run in runs]
+    windows = _thinned([*map(_excerpt, longest)])
     # A preload of gas is one zero for all runs, which some laws lack.
-    (common, _), (own, zeros) = (_with_zeros(found, windows, common=c) for c in (True, False))
-    if common <= max(_RATIO * own, own + _POINTS):
+    middle = float(np.mean([extent(window.force)[0] for window in windows]))
+    starts = (np.zeros(len(runs)), np.full(len(runs), middle))
+    common = min(
+        (_with_zeros(found, windows, start, common=True) for start in starts),
+        key=lambda each: each[0],
+    )
+    own, zeros = _with_zeros(found, windows, common[1], common=False)
+    if common[0] <= max(_RATIO * own, own + _POINTS):
         return []
     apart = zeros - np.median(zeros)
     place = int(np.argmax(np.abs(apart)))
@@ -392,21 +401,17 @@ def _zeros(found: ParameterSet, runs: Sequence[Explained]) -> list[Finding]:
 
 
 def _with_zeros(
-    found: ParameterSet, windows: Sequence[Window], *, common: bool
+    found: ParameterSet, windows: Sequence[Window], zeros: Array, *, common: bool
 ) -> tuple[float, Array]:
     """NRMSE with a zero of each window (m,) [N], or with a ``common`` one, and the zeros."""
-    here = _refitted(found, windows, found.values)
-    middles = np.array([extent(window.force)[0] for window in windows])
-    trials = []
-    for zeros in (np.zeros(len(windows)), np.full(len(windows), middles.mean())):
-        last = here
-        for _ in range(_ROUNDS):
-            moved = [replace(w, force=w.force - z) for w, z in zip(windows, zeros, strict=True)]
-            last = _refitted(found, moved, last.values)
-            trials.append((last.nrmse, zeros))
-            fitted = replace(found, values=last.values)
-            off = np.array([_zero_of(fitted, window) for window in moved])
-            zeros = zeros + (np.mean(off) if common else off)
+    last, trials = found.values, []
+    for _ in range(2 if common else _ROUNDS):
+        moved = [replace(w, force=w.force - z) for w, z in zip(windows, zeros, strict=True)]
+        refit = _refitted(found, moved, last)
+        trials.append((refit.nrmse, zeros))
+        last, fitted = refit.values, replace(found, values=refit.values)
+        off = np.array([_zero_of(fitted, window) for window in moved])
+        zeros = zeros + (np.mean(off) if common else off)
     return min(trials, key=lambda trial: trial[0])
 
 
