@@ -29,7 +29,7 @@ LARGEST_NRMSE = 0.3
 _RATIO, _POINTS = 1.4, 0.02
 """A cause matters if it increases the NRMSE of the set by this factor and by this much."""
 
-_SAMPLES, _OF_ALL, _EXCERPT = 2000, 6000, 40_000
+_SAMPLES, _OF_ALL, _EXCERPT = 2000, 4000, 40_000
 """Approximate number of samples of a window, and of all windows, that are fitted to find a cause,
 and number of samples of a window from which they are drawn."""
 
@@ -103,7 +103,7 @@ def _refitted(
     problem = ChosenParameters(misfit, start, np.flatnonzero(found.observable).tolist())
     search = LocalSearch(problem, problem.start)
     try:
-        search.least_squares(tolerance=1e-4, most_steps=25)
+        search.least_squares(tolerance=1e-3, most_steps=12)
     except (ValueError, ArithmeticError):
         return _Refit(start, math.inf)
     fitted = replace(found, values=problem.parameters(search.best))
@@ -148,8 +148,8 @@ def _excerpt(window: Window) -> Window:
 
 # -- wrong times -----------------------------------------------------------------------------
 
-_SHIFTS = (1e-3, 2e-3, 4e-3, 7e-3, 10e-3, 15e-3, 20e-3, 30e-3, 40e-3, 60e-3)
-"""Shifts [s] of the force that are tried in both directions."""
+_SHIFTS = (2e-3, 5e-3, 10e-3, 20e-3, 40e-3, 60e-3)
+"""Shifts [s] of the force that are tried in both directions, and then halfway around the best."""
 
 _EARLY, _LATE = 0.8, 0.75
 """Part of the NRMSE that a shift of an early or a late force leaves at most, where it is named. A
@@ -212,13 +212,23 @@ def _late_force(found: ParameterSet, windows: Sequence[Window]) -> list[Finding]
         return []
     here = _refitted(found, windows, found.values)
     trials = {0.0: here}
+
+    def attempt(shift: float, start: Array) -> _Refit:
+        moved = [_with_shifted_force(window, shift) for window in windows]
+        found_there = trials[shift] = _refitted(found, moved, start, anew=True)
+        return found_there
+
     for sign in (1.0, -1.0):
         last = here
         for size in _SHIFTS:
-            moved = [_with_shifted_force(window, sign * size) for window in windows]
-            last = trials[sign * size] = _refitted(found, moved, last.values, anew=True)
+            last = attempt(sign * size, last.values)
             if last.nrmse > _HOPELESS * min(each.nrmse for each in trials.values()):
                 break
+    late = min(trials, key=lambda shift: trials[shift].nrmse)
+    if late == 0.0:
+        return []
+    for other in _neighbours(late, trials):
+        attempt(0.5 * (late + other), trials[late].values)
     late = min(trials, key=lambda shift: trials[shift].nrmse)
     best = trials[late]
     # The fits at other times may have found a better minimum.
@@ -226,12 +236,16 @@ def _late_force(found: ParameterSet, windows: Sequence[Window]) -> list[Finding]
     most = (_LATE if late > 0.0 else _EARLY) * min(here.nrmse, again.nrmse)
     if best.nrmse > min(most, 0.5 * LARGEST_NRMSE):
         return []
-    tried = sorted(trials)
-    place = tried.index(late)
-    near = tried[max(place - 1, 0) : place + 2]
-    doubt = 0.5 * (near[-1] - near[0]) / (len(near) - 1)
+    doubt = 0.5 * float(np.mean([abs(each - late) for each in _neighbours(late, trials)]))
     serious = matters(_change(found, best.values, windows), best.nrmse)
     return [replace(skew_finding(late, doubt), severity=WARN if serious else NOTE)]
+
+
+def _neighbours(shift: float, trials: Iterable[float]) -> list[float]:
+    """The shifts that were tried next to one of them."""
+    tried = sorted(trials)
+    place = tried.index(shift)
+    return [tried[each] for each in (place - 1, place + 1) if 0 <= each < len(tried)]
 
 
 def _with_shifted_force(window: Window, late: float) -> Window:
@@ -342,7 +356,8 @@ def _steps(run: Comparison) -> list[Finding]:
     if drawn.size < 2 * _PLACES or not np.std(run.predicted[drawn]) > 0.0:
         return []
     predicted, measured = run.predicted[drawn], run.measured[drawn]
-    places = np.linspace(0, drawn.size, _PLACES + 1).astype(int)[1:-1].tolist()
+    # A run often begins and ends with another motion.
+    places = np.linspace(0, drawn.size, _PLACES + 1).astype(int)[2:-2].tolist()
     usual = [np.ones(drawn.size), predicted]
     whole, _ = _left(usual, measured)
     scale, time = math.sqrt(drawn.size) * float(np.std(measured)), np.linspace(-1, 1, drawn.size)
