@@ -154,8 +154,9 @@ class Checked:
 def check_samples(given: Samples, *, mend: bool = True) -> Checked:
     """Check finite samples of a run, and with ``mend`` mend what can be mended.
 
-    Spikes and held values are bridged by straight lines, and a disturbance of the displacement that
-    stands apart from the motion is filtered without a shift in time. The findings say so.
+    Spikes and held values are bridged, short clipping of the displacement is restored, and a
+    disturbance of it that stands apart from the motion is filtered without a shift in time. Where
+    samples are missing, or a channel is stuck, the ``parts`` are cut. The findings say so.
     """
     if given.force.size < _FEWEST:
         return Checked(given, ())
@@ -304,10 +305,11 @@ def _interruptions(
         return found, whole
     gaps.sort(key=lambda gap: gap.start)
     starts, stops = [0, *(gap.stop for gap in gaps)], [*(gap.start for gap in gaps), whole[0].stop]
+    cycle = _cycle(samples)
     parts = tuple(
         part
         for part in map(slice, starts, stops)
-        if part.stop - part.start >= _cycle(samples) and holds_cycle(samples.displacement[part])
+        if part.stop - part.start >= cycle and holds_cycle(samples.displacement[part])
     )
     if sum(part.stop - part.start for part in parts) < _LEAST_USED * samples.force.size:
         return found, whole

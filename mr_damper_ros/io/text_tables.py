@@ -953,8 +953,9 @@ def _shown_period(outline: Outline, positions: Sequence[int]) -> tuple[float, st
         unit = outline.unit(column)
         if column in positions or outline.quantity(column) != "time" or unit is None:
             continue
-        marks = Marks(decimal="," if any("," in row[column] for _, row in outline.sample) else ".")
-        times = [number_of(fields[column], marks) for _, fields in outline.sample]
+        cells = [fields[column] for _, fields in outline.sample if column < len(fields)]
+        marks = Marks(decimal="," if any("," in cell for cell in cells) else ".")
+        times = [number_of(cell, marks) for cell in cells]
         steps = np.diff([time for time in times if time is not None])
         usual = float(np.mean(steps)) if steps.size else 0.0
         if usual > 0.0 and np.all(np.abs(steps - usual) <= _EVEN * usual):

@@ -235,7 +235,6 @@ _FAST = 0.1
 """Part of the usual peak velocity above which a motion cannot stop within a sample. Just before a
 reversal or a rest the velocity is lower."""
 
-
 _ROUNDING = 1e-3
 """Tolerance of a step as a multiple of the resolution."""
 
@@ -260,11 +259,13 @@ class FreezeDetector:
 
     def follow(self, displacement: Array, usual_peak: float) -> None:
         """Process samples (n,) [m]; ``usual_peak`` [m/s] is the peak velocity of the motion."""
-        for value in displacement.tolist():
-            self._count += 1
-            if value != self._last:
-                self._last = value
-                self._changes.append((self._count, value))
+        if not displacement.size:
+            return
+        changes = np.flatnonzero(np.diff(displacement, prepend=self._last))[-_STEPS - 1 :]
+        for place, value in zip(changes.tolist(), displacement[changes].tolist(), strict=True):
+            self._changes.append((self._count + place + 1, value))
+        self._count += displacement.size
+        self._last = float(displacement[-1])
         self.speed = math.nan
         if len(self._changes) <= _STEPS or self._changes[-1][0] == self._count:
             return
@@ -336,7 +337,7 @@ class MotionFollower:
         self.peak = PeakVelocity(period, centre_memory)
         self._sine = SineFollower(period, centre_memory)
         self.freeze = FreezeDetector(period)
-        """Whether the displacement is frozen."""
+        """Detects whether the displacement is frozen."""
         self._together = round(_BATCH_TIME / period)
         self._unlearned: list[Array] = []
         self._unlearned_count = 0

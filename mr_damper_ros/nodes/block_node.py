@@ -14,6 +14,7 @@ import numpy as np
 from mr_damper_msgs.msg import DamperParameters, FitReport
 from rclpy.node import Node
 
+from mr_damper_ros.data_check.stream_watch import listed
 from mr_damper_ros.models.parameter_set import ParameterError
 from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.nodes import quality
@@ -136,7 +137,7 @@ class BlockNode(Node, Generic[Options, Answer]):
         parameters, file = self._predictor.parameters, self._options.parameter_file
         publishers = quality.publishing_nodes(self, PARAMETERS_TOPIC)
         if len(publishers) > 1:
-            several = f"{PARAMETERS_TOPIC} is published by {quality.listed(publishers)}"
+            several = f"{PARAMETERS_TOPIC} is published by {listed(publishers)}"
             return Finding(ERROR, f"{several}: stop all but one")
         if self._refused:
             return Finding(WARN, f"the newest parameters are not used: {self._refused}")

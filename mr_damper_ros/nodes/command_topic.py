@@ -11,6 +11,7 @@ from mr_damper_msgs.msg import CurrentCommand, ExcitationCommand
 from rclpy.node import Node
 from std_msgs.msg import Header
 
+from mr_damper_ros.data_check.stream_watch import listed
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Finding
@@ -156,7 +157,7 @@ class CommandTopic:
         )
         if mixed:
             wrong.append(
-                f"the {self._what} is commanded by {quality.listed(publishers)}: stop all but one, "
+                f"the {self._what} is commanded by {listed(publishers)}: stop all but one, "
                 "or give each of them a name of its own in the field commander"
             )
         if new:

@@ -19,8 +19,6 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
-from mr_damper_ros.data_check.stream_watch import listed as listed
-
 STREAM_DEPTH = 1000
 """Queue length of a stream: ten seconds at 1 kHz in blocks of ten."""
 

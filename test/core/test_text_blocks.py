@@ -336,6 +336,13 @@ def test_a_period_is_compared_with_the_times_that_are_skipped(
             read_record(path, columns, current=0.5, period=period)
 
 
+def test_rows_that_end_before_the_skipped_times_say_nothing_of_the_period(tmp_path: Path) -> None:
+    rows_of_times = (f"{row},{k / 100:.2f}" for k, row in enumerate(untimed()))
+    lines = [row if k != 3 else row.rsplit(",", 1)[0] for k, row in enumerate(rows_of_times)]
+    path = saved(tmp_path, ["Stroke [mm],Load [N],Time [s]", *lines])
+    assert read_record(path, f"{UNTIMED},-", current=0.5, period=0.01).period == 0.01
+
+
 def test_another_period_than_the_file_states_is_refused(tmp_path: Path) -> None:
     head = ["LabVIEW Measurement", "Delta_X\t0.01\t0.01", "***End_of_Header***", "X_Value\tS\tL"]
     lines = [*head, *("\t" + row.replace(",", "\t") for row in untimed())]
