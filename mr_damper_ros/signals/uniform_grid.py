@@ -8,7 +8,8 @@ Every interruption has a name and is handled in the same way everywhere:
 - a *bridged* gap (few samples lost): interpolated from the samples on both sides, and marked;
 - a *gap* (more samples lost, the source paused or restarted): the windows and the motion restart;
 - a *jump back* (a bag that loops, a clock that was set): the windows and the motion restart;
-- a *repeat* (samples that were received before, or already count as lost): ignored;
+- a *repeat* (samples that were received before, or already count as lost, or values of the last
+  block under a new count): ignored;
 - a *changed period*: the windows and the motion restart;
 - *frozen* stamps (the count continues, the stamp does not change): the count gives the time.
 
@@ -201,6 +202,11 @@ class Placed:
 
 _RESTARTS = ("displaced", "gap", "jump_back", "changed_period")
 
+_SAME_BUFFER = (
+    "the source sends the samples of its last block again, with new numbers: it is ignored (is the "
+    "buffer of the data acquisition refilled?)"
+)
+
 _Verdict = tuple[str, int, str]
 """Kind of a block, number of samples lost before it, and sentence, as in :class:`Placed`."""
 
@@ -290,6 +296,8 @@ class UniformGrid:
             if missing == 0 and (step := _jump(last, block)):
                 jump = f"the displacement jumps by {step:.3g} m between two samples"
                 return "displaced", 0, f"{jump} (a loose cable, or millimetres?)"
+            if missing >= 0 and _is_same_buffer(last, block):
+                return "repeat", 0, _SAME_BUFFER
             if -block.sample_count < missing <= 0:
                 return "next", 0, ""
             if missing > 0 and missing * block.period <= self._settings.longest_gap + 1e-9:
@@ -427,6 +435,23 @@ def _jump(last: SampleBlock, block: SampleBlock) -> float:
         return 0.0
     step = largest_magnitude(np.diff(np.concatenate((last.displacement, block.displacement))))
     return step if step > LARGEST_MOTION else 0.0
+
+
+_SEAM = 2.0
+"""Between two equal blocks, the displacement of a buffer that is sent again jumps by more than this
+multiple of the largest step within. A motion that repeats with each block does not jump."""
+
+
+def _is_same_buffer(last: SampleBlock, block: SampleBlock) -> bool:
+    """Whether a block holds the values of its predecessor although the motion does not repeat."""
+    values = block.displacement
+    if values[0] != last.displacement[0] or values.size < 2:
+        return False
+    return (
+        np.array_equal(values, last.displacement)
+        and np.array_equal(block.force, last.force)
+        and abs(values[0] - values[-1]) > _SEAM * largest_magnitude(np.diff(values))
+    )
 
 
 def _end(block: SampleBlock) -> int:

@@ -65,6 +65,26 @@ def test_what_arrives_is_judged_and_counted_as_documented(
         assert [grid.follow(block(at))[0].kind for at in (20, 30)] == ["displaced", "next"]
 
 
+RAMP = np.linspace(0.0, 1e-3, 10)
+
+
+def test_a_buffer_that_is_sent_again_is_ignored() -> None:
+    grid = UniformGrid()
+    sent = [block(first, displacement=RAMP, force=1e5 * RAMP) for first in range(0, 500, 10)]
+    placed = [grid.follow(each)[0] for each in sent]
+    assert {each.kind for each in placed[1:]} == {"repeat"}
+    assert "the samples of its last block again" in placed[-1].sentence
+    assert grid.follow(block(500, displacement=-RAMP))[0].kind == "gap"
+
+
+@pytest.mark.parametrize("count", [2, 10, 100])
+def test_a_motion_that_repeats_with_each_block_is_no_buffer_that_is_sent_again(count: int) -> None:
+    cycle = AMPLITUDE * np.sin(2.0 * np.pi * np.arange(count) / count)
+    grid = UniformGrid()
+    sent = [block(k * count, count, displacement=cycle, force=1e5 * cycle) for k in range(20)]
+    assert {grid.follow(each)[0].kind for each in sent} == {"first", "next"}
+
+
 # -- streams ---------------------------------------------------------------------------------
 
 
