@@ -157,6 +157,9 @@ _WINDOW = WindowSettings.window
 _AFTER_REPAIR, _AFTER_CHANGE = 9.0, 6.0
 """Longest time [s] for which a rig is observed after its repair, or without a repair."""
 
+LONGEST_RECOVERY = _AFTER_REPAIR / _WINDOW
+"""The same after its repair, in windows; a longer recovery is infinite."""
+
 _GOOD = 0.15
 """Largest RMS error of a recovered force, as a fraction of the peak, over 1 s of valid force."""
 

@@ -87,6 +87,8 @@ class CurrentEvidence:
         self._width = max(span / _CELLS, CURRENT_READING) if span < math.inf else _USUAL_CELL
         self._limit = limit
         self._cells: dict[int, _Cell] = {}
+        # The cells with enough recent samples to count as evidence.
+        self._proven: dict[int, _Cell] = {}
         self._now = 0.0
         self._peak = 0.0
         self._proof_time = _PROOF_TIMES[0]
@@ -130,6 +132,11 @@ class CurrentEvidence:
 
     def _judge(self) -> None:
         """Judge the error at each current, relative to the largest force at any current."""
+        self._proven = {
+            place: cell
+            for place, cell in self._cells.items()
+            if cell.time >= self._proof_time and self._now - cell.newest <= _EXPIRY
+        }
         cells = self._proven.values()
         force = max((cell.force / cell.time for cell in cells), default=0.0)
         force = max(force, (_SMALLEST_PART * self._peak) ** 2)
@@ -139,15 +146,7 @@ class CurrentEvidence:
 
     def forget(self) -> None:
         """Discard the evidence."""
-        self._cells.clear()
-
-    @property
-    def _proven(self) -> dict[int, _Cell]:
-        return {
-            place: cell
-            for place, cell in self._cells.items()
-            if cell.time >= self._proof_time and self._now - cell.newest <= _EXPIRY
-        }
+        self._cells, self._proven = {}, {}
 
     def error_at(self, current: float) -> float:
         """RMS error [N] at a current [A]; NaN without evidence."""
