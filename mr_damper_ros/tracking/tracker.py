@@ -499,6 +499,10 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
             "the window is used in the next global identification",
             usual=False,
         )
+    confirmed = wins and judgement.verdict is Verdict.NO_BETTER
+    if confirmed:
+        sentence = f"this window confirms {running.set_id}"
+        judgement = replace(judgement, verdict=Verdict.ACCEPTED, sentence=sentence)
     verdict, teaches = judgement.verdict, judgement.teaches
     unexplained = unexplained and verdict is not Verdict.BEYOND_LIMITS
     if teaches:
@@ -519,13 +523,11 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
         memory.watch = watch
         memory.other_damper = False
         memory.accepted += 1
-        used = found
+        used = running if confirmed else found
     elif verdict is Verdict.UNCONFIRMED:
         memory.rival = found
     if rival is not None and verdict in _SENSOR_VERDICTS:
         used, memory.rival = before, rival
-    elif wins and verdict is Verdict.NO_BETTER:
-        judgement = Judgement(Verdict.ACCEPTED, f"this window confirms {running.set_id}")
     scale, memory.scales = widened(
         force_scale(model, window, fit, baselines), memory.scales, raw.start_ns, raw.end_ns
     )

@@ -342,8 +342,10 @@ def waiting() -> tuple[WindowTracker, ParameterSet]:
 
 def test_a_set_that_nobody_asked_for_is_in_use_once_a_window_confirms_it() -> None:
     tracked, found = waiting()
+    before = tracked.accepted_windows
     (report,) = known.fed(tracked, known.window(9, current=1.4, frequency=3.0))
     assert report.accepted
+    assert tracked.accepted_windows == before + 1
     assert report.set_id == tracked.parameters.set_id
     shape = known.SHAPE
     np.testing.assert_array_equal(tracked.parameters.values[shape], found.values[shape])
