@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.api.comparison import Comparison
+from mr_damper_ros.api.measured_runs import MeasuredRun, all_windows
 from mr_damper_ros.data_check.channels import extent
 from mr_damper_ros.data_check.findings import NOTE, WARN, Finding, Kind
 from mr_damper_ros.data_check.samples import skew_finding
@@ -47,10 +48,10 @@ def matters(change: float, left: float) -> bool:
 
 
 class Explained(NamedTuple):
-    """A run of an identified set: its forces and windows, and its NRMSE, with its own level."""
+    """A run of an identified set: its forces, and its NRMSE, with its own level."""
 
     comparison: Comparison
-    windows: Sequence[Window]
+    measured: MeasuredRun
     nrmse: float
 
 
@@ -58,20 +59,47 @@ def causes(
     found: ParameterSet, runs: Sequence[Explained], *, levelled: bool = False
 ) -> list[Finding]:
     """Findings on the errors of a set; ``levelled``: each run has a zero of its own."""
-    findings = _times(found, [window for run in runs for window in run.windows])
+    # The samples of a shifted force must follow one another.
+    whole = [run.measured for run in runs if run.measured.whole]
+    findings = _times(found, all_windows(whole)) if whole else []
     findings += [each for run in runs for each in _steps(run.comparison)]
     if not (levelled or findings):
         findings += _zeros(found, runs)
     worst = max(runs, key=lambda run: run.nrmse)
     if not findings:
-        longest = max(worst.windows, key=lambda window: window.sample_count)
-        laws = _other_law(found.model, longest, worst.nrmse)
+        laws = _other_law(found.model, worst.measured.longest, worst.nrmse)
         findings += [replace(each, source=worst.comparison.name) for each in laws]
     for run in runs:
         if run.nrmse > LARGEST_NRMSE:
             each = Kind.UNEXPLAINED.found(value=run.nrmse, nrmse=run.nrmse, limit=LARGEST_NRMSE)
             findings.append(replace(each, source=run.comparison.name))
     return findings
+
+
+def with_clipping_judged(
+    findings: Iterable[Finding], found: ParameterSet, runs: Sequence[Explained]
+) -> list[Finding]:
+    """Findings on runs, in which a clipped force is a note if the set predicts little beyond it."""
+    clipped = [run for run in runs if run.measured.clipped]
+    little = {
+        run.measured.name
+        for run in clipped
+        if run.nrmse <= LARGEST_NRMSE and not matters(_cut_off(found, run), run.nrmse)
+    }
+    return [
+        replace(each, severity=NOTE)
+        if each.kind is Kind.CLIPPED and each.channel == "force" and each.source in little
+        else each
+        for each in findings
+    ]
+
+
+def _cut_off(found: ParameterSet, run: Explained) -> float:
+    """RMS of what is cut off from the force that a set predicts, relative to its deviation."""
+    clipped = run.measured.clipped
+    squares = [float(np.sum((found.window_force(w) - w.force) ** 2)) for w in clipped]
+    force = np.concatenate([w.force for w in (*run.measured.windows, *clipped)])
+    return math.sqrt(sum(squares) / force.size) / float(np.std(force))
 
 
 # -- fits of changed windows -----------------------------------------------------------------
@@ -315,7 +343,13 @@ def lateness_finding(late: float, error: float) -> list[Finding]:
     direction = "later" if late > 0.0 else "earlier"
     return [
         Kind.CURRENT_SKEW.found(
-            "current", value=late, error=error, late=abs(late), doubt=error, direction=direction
+            "current",
+            value=late,
+            error=error,
+            late=abs(late),
+            doubt=error,
+            direction=direction,
+            lateness=-late,
         )
     ]
 
@@ -411,8 +445,7 @@ def _zeros(found: ParameterSet, runs: Sequence[Explained]) -> list[Finding]:
     rest = np.array([run.comparison.error.rmse for run in runs])
     if np.all(np.abs(off - np.median(off)) <= _TRACE * rest):
         return []
-    longest = [max(run.windows, key=lambda window: window.sample_count) for run in runs]
-    windows = _thinned([*map(_excerpt, longest)])
+    windows = _thinned([_excerpt(run.measured.longest) for run in runs])
     # A preload of gas is one zero for all runs, which some laws lack.
     middle = float(np.mean([extent(window.force)[0] for window in windows]))
     starts = (np.zeros(len(runs)), np.full(len(runs), middle))

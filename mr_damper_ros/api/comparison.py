@@ -75,12 +75,11 @@ def compare(found: ParameterSet, run: MeasuredRun) -> Comparison:
     first, columns = run.recordings[0], list[tuple[Array, ...]]()
     for recording, window in zip(run.recordings, run.windows, strict=True):
         start = (recording.start_ns - first.start_ns) / NANOSECONDS
-        times: Array = np.arange(window.sample_count, dtype=float) * window.period + start
         motion = window.motion
         gradual = found.turns_gradually(window)
         force = found.window_force(window, gradual=gradual)
         force = np.where(found.settled(window, gradual=gradual), force, np.nan)
-        columns.append((times, motion.displacement, motion.velocity, window.force, force))
+        columns.append((window.time + start, motion.displacement, motion.velocity, window.force, force))
     # A single window is not copied.
     joined: Iterable[Array] = (
         columns[0] if len(columns) == 1 else map(np.concatenate, zip(*columns, strict=True))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, SupportsFloat, cast
 
@@ -18,6 +19,7 @@ from mr_damper_ros.data_check.recordings import usable_run
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool
+from mr_damper_ros.signals.arrays import Mask
 from mr_damper_ros.signals.recording import DEFAULT_START_NS, Recording
 
 RunSource = str | os.PathLike[str] | Recording | Iterable["RunSource"]
@@ -37,13 +39,21 @@ class MeasuredRun:
     """One run of a damper, checked and ready for identification.
 
     ``recordings``: one per section without gaps, as they are used; ``windows``: their motion and
-    force; ``findings``: what the check of the data found.
+    force; ``findings``: what the check of the data found; ``clipped``: the samples whose force is
+    clipped, which the windows leave out.
     """
 
     name: str
     recordings: tuple[Recording, ...]
     windows: tuple[Window, ...]
     findings: tuple[Finding, ...] = ()
+    clipped: tuple[Window, ...] = ()
+
+    @property
+    def whole(self) -> bool:
+        """Whether the windows leave out no sample of the recordings."""
+        used = sum(window.sample_count for window in self.windows)
+        return used == sum(recording.sample_count for recording in self.recordings)
 
     @property
     def longest(self) -> Window:
@@ -62,7 +72,8 @@ def measured_run(
     source: str | os.PathLike[str] | Recording, *, accept_doubtful: bool = False
 ) -> MeasuredRun:
     """A run from a bag or a recording; raises ValueError if it cannot be used."""
-    return _with_windows(_checked(source, accept_doubtful))
+    run = _checked(source, accept_doubtful)
+    return run if run.windows else _with_windows(run)
 
 
 def _checked(
@@ -73,7 +84,7 @@ def _checked(
 ) -> MeasuredRun:
     """A run from a bag or a recording; ``notify`` receives the progress in words.
 
-    It has no windows if it is shorter than a cycle. Raises DataError if a finding refuses the run;
+    It has no windows if it is too short for them. Raises DataError if a finding refuses the run;
     with ``accept_doubtful``, only if the displacement or the force is constant. ``as_measured``:
     mend and leave out nothing. Raises ValueError for another source.
     """
@@ -88,28 +99,36 @@ def _checked(
             "recording, or name the arrays (displacement=, force=, current=, period=)"
         )
     checked = usable_run(name, recordings, accept_doubtful=accept_doubtful, mend=not as_measured)
-    windows = () if _is_short(checked.findings) else _windows(name, checked.sections)
-    return MeasuredRun(name, checked.sections, windows, checked.findings)
+    run = MeasuredRun(name, checked.sections, (), checked.findings)
+    try:
+        return _with_windows(run, checked.clipped)
+    except DataError:
+        if _is_short(checked.findings):
+            return run
+        raise
 
 
-def _with_windows(run: MeasuredRun) -> MeasuredRun:
-    return run if run.windows else replace(run, windows=_windows(run.name, run.recordings))
+def _with_windows(run: MeasuredRun, clipped: Sequence[Mask | None] = ()) -> MeasuredRun:
+    """The run with its windows; raises DataError for one that cannot be fitted."""
+    used, beyond = [], []
+    for section, mask in zip_longest(run.recordings, clipped):
+        samples = section.displacement, section.force, section.current, section.period
+        try:
+            window = Window.from_samples(*samples).resolved()
+        except DataError as error:
+            raise DataError(f"{run.name}: {error}") from error
+        left_out = np.zeros(section.sample_count, dtype=bool)
+        for gap in section.gaps:
+            left_out[gap] = True
+        if mask is not None and mask.any():
+            beyond.append(window.part(mask & ~left_out))
+            left_out |= mask
+        used.append(window.part(~left_out) if left_out.any() else window)
+    return replace(run, windows=tuple(used), clipped=tuple(beyond))
 
 
 def _is_short(findings: Iterable[Finding]) -> bool:
     return any(each.kind is Kind.SHORT for each in findings)
-
-
-def _windows(name: str, sections: Iterable[Recording]) -> tuple[Window, ...]:
-    """The windows of a run; raises DataError for one that cannot be fitted."""
-    windows = []
-    for section in sections:
-        samples = section.displacement, section.force, section.current, section.period
-        try:
-            windows.append(Window.from_samples(*samples).resolved())
-        except DataError as error:
-            raise DataError(f"{name}: {error}") from error
-    return tuple(windows)
 
 
 def _without_fragments(runs: Sequence[MeasuredRun]) -> list[MeasuredRun]:
@@ -171,7 +190,8 @@ def measured_runs(
 
     found = (processes or ProcessPool()).map(_task, tasks, listen)
     loaded = [run for run in found if run is not None]
-    return tuple(map(_with_windows, loaded if fragments else _without_fragments(loaded)))
+    used = loaded if fragments else _without_fragments(loaded)
+    return tuple(run if run.windows else _with_windows(run) for run in used)
 
 
 def without_inertia(runs: Sequence[MeasuredRun], mass: float) -> tuple[MeasuredRun, ...]:
@@ -191,7 +211,10 @@ def without_inertia(runs: Sequence[MeasuredRun], mass: float) -> tuple[MeasuredR
     def less(window: Window) -> Window:
         return replace(window, force=window.force - mass * window.motion.acceleration)
 
-    return tuple(replace(run, windows=tuple(map(less, run.windows))) for run in runs)
+    return tuple(
+        replace(run, windows=tuple(map(less, run.windows)), clipped=tuple(map(less, run.clipped)))
+        for run in runs
+    )
 
 
 def all_windows(runs: Sequence[MeasuredRun]) -> list[Window]:

@@ -155,14 +155,7 @@ SMOOTH, SHARP = Shape(0.0, 2.0, 8, 0.05), Shape(0.1, 0.0, 5, 0.02)
 
 
 _DRAWN = 50_000
-"""Number of values that give a quantile."""
-
-
-def _some(values: Array) -> Array:
-    """Values drawn at random if there are very many."""
-    if values.size <= _DRAWN:
-        return values
-    return values[np.random.default_rng(0).integers(0, values.size, _DRAWN)]
+"""Number of places that give a quantile."""
 
 
 def spikes(values: Array, samples_per_cycle: float, shape: Shape) -> Mask:
@@ -173,23 +166,36 @@ def spikes(values: Array, samples_per_cycle: float, shape: Shape) -> Mask:
     marked = np.zeros(values.size, dtype=bool)
     least = max(_OUTLIER * white_noise(values), 2.0 * shape.jump * extent(values)[1])
     steps = np.abs(np.diff(values))
-    edge = shape.edge * float(np.quantile(_some(steps), 0.9))
     widest = min(shape.widest, max(int(shape.cycle_part * samples_per_cycle), 1))
-    for width in range(1, min(widest, (values.size - 2) // 2) + 1):
-        before, after = values[: -width - 1], values[width + 1 :]
-        low, high = np.minimum(before, after), np.maximum(before, after)
+    widest = min(widest, (values.size - 2) // 2)
+    # Quantiles of a long signal are those of places drawn at random.
+    drawn = np.arange(values.size)
+    if drawn.size > _DRAWN:
+        drawn = np.random.default_rng(0).integers(0, values.size, _DRAWN)
+    edge = shape.edge * float(np.quantile(steps[drawn[drawn < steps.size]], 0.9))
+    # On the way out, one of the steps is as large as this.
+    large = np.concatenate(([0], np.cumsum(steps > least / max(widest, 1))))
+    for width in range(1, widest + 1):
+
+        def beyond(starts: np.ndarray, place: int, width: int = width) -> Array:
+            """How far a sample of an excursion lies beyond both the samples around it."""
+            before, after = values[starts], values[starts + width + 1]
+            inside = values[starts + place + 1]
+            return np.maximum(inside - np.maximum(before, after), np.minimum(before, after) - inside)
+
         half = width // 2 + 1
-        bends = np.abs(values[: -2 * half] + values[2 * half :] - 2.0 * values[half:-half])
-        limit = max(least, _BENT * 0.5 * float(np.quantile(_some(bends), 0.9)))
+        middle = drawn[(drawn >= half) & (drawn < values.size - half)]
+        bends = np.abs(values[middle - half] + values[middle + half] - 2.0 * values[middle])
+        limit = max(least, _BENT * 0.5 * float(np.quantile(bends, 0.9)))
+        usual = drawn[drawn < values.size - width - 1]
         # The first sample after lost ones may lie beyond its neighbours, too, but on one edge.
-        edges = (steps[: values.size - width - 1] >= edge) & (steps[width:] >= edge)
+        edges = (steps[:-width] >= edge) & (steps[width:] >= edge)
+        starts = np.flatnonzero(edges & (large[width:-1] > large[: -width - 1]))
         for place in range(width):
-            inside = slice(place + 1, values.size - width + place)
-            beyond = np.maximum(values[inside] - high, low - values[inside])
-            wild = edges & (beyond > limit)
-            if wild.any():
-                wild &= beyond > _UNUSUAL * np.quantile(beyond, _USUAL_PART)
-                marked[inside] |= wild
+            wild = beyond(starts, place)
+            if wild.size and wild.max() > limit:
+                most = max(limit, _UNUSUAL * np.quantile(beyond(usual, place), _USUAL_PART))
+                marked[starts[wild > most] + place + 1] = True
     return marked
 
 

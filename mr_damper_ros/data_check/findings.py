@@ -226,8 +226,7 @@ class Kind(Enum):
     )
     MISSING = (
         WARN,
-        "the {channel} jumps {count} times, which no motion explains: were samples lost? Record "
-        "the time of each sample",
+        "{what}: were samples lost? Record the time of each sample, without gaps",
     )
     SMOOTHED = (
         WARN,
@@ -255,7 +254,8 @@ class Kind(Enum):
     SKEW = (
         WARN,
         "the {late} lags the {early} by {skew:.2f} ± {doubt:.2f} ms: is the cause a filter, a "
-        "multiplexer, or a compliant mount? Set the bridge's force_lateness to {lateness:.5f}",
+        "multiplexer, or a compliant mount? Set the bridge's force_lateness to {lateness:.5f} "
+        "(mr-damper import --force-lateness)",
     )
     OFFSET = (
         NOTE,
@@ -283,7 +283,8 @@ class Kind(Enum):
     CURRENT_SKEW = (
         WARN,
         "the force changes {late:.3g} ± {doubt:.2g} s {direction} than the current: shift the "
-        "current by this time, or synchronise the clocks of machine and supply",
+        "current by this time (mr-damper import --current-lateness {lateness:.3g}), or synchronise "
+        "the clocks of machine and supply",
     )
     # -- the fit
     NEGATIVE_SLOPE = (

@@ -17,6 +17,7 @@ from mr_damper_ros.data_check.samples import (
 )
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import holds_cycle
+from mr_damper_ros.signals.arrays import Mask
 from mr_damper_ros.signals.recording import Recording, RecordingError
 
 
@@ -24,11 +25,13 @@ from mr_damper_ros.signals.recording import Recording, RecordingError
 class CheckedRun:
     """Sections of a run as they are used, and the findings on the run.
 
-    Faults are mended in the ``sections``, and fragments are left out.
+    Faults are mended in the ``sections``, and fragments are left out. ``clipped`` marks the forces
+    of each section that a fit leaves out, None without any.
     """
 
     sections: tuple[Recording, ...]
     findings: tuple[Finding, ...]
+    clipped: tuple[Mask | None, ...]
 
 
 def usable_run(
@@ -70,19 +73,22 @@ def check_run(recordings: Sequence[Recording], *, mend: bool = True) -> CheckedR
         share = 1.0 - sum(each.sample_count for each in used) / total
         what = f"{left_out} fragment{'s' * (left_out > 1)}"
         found.append(Kind.FRAGMENT.found(value=share, what=what, share=share))
-    sections = []
+    sections, clipped = [], list[Mask | None]()
     for recording in used:
         given = _samples(recording)
-        checked = check_samples(given, mend=mend)
+        checked = check_samples(given, recording.gaps, mend=mend)
         found += checked.findings
         if recording.temperature is not None:
             found += temperature_findings(recording.temperature)
         if note := recording.details.get("note"):
             found.append(Kind.READER.found(text=note))
         if checked.samples is not given:
-            recording = replace(recording, **vars(checked.samples))
+            mended = {name: getattr(checked.samples, name) for name in ("displacement", "force")}
+            recording = replace(recording, **mended, current=checked.samples.current)
         sections += [recording.part(part) for part in checked.parts]
-    return CheckedRun(tuple(sections), tuple(dict.fromkeys(found)))
+        mask = checked.clipped
+        clipped += [None if mask is None else mask[part] for part in checked.parts]
+    return CheckedRun(tuple(sections), tuple(dict.fromkeys(found)), tuple(clipped))
 
 
 def require_units(recording: Recording) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -112,7 +113,7 @@ _REPEATING = 0.02
 """Part of the samples of a channel with noise that repeats the sample before, at most."""
 
 _LEAST_USED = 0.5
-"""Smallest part of the samples that must be left where a run is cut."""
+"""Smallest part of the samples that must be left where a run is cut, or its force clipped."""
 
 _RESTORED = 0.1
 """Longest stay of a displacement at a limit, in cycles, that can be restored."""
@@ -133,17 +134,29 @@ class Samples:
     current: Array
     period: float
 
+    @cached_property
+    def motion_spectrum(self) -> Spectrum:
+        """Spectrum of the displacement."""
+        return Spectrum(self.displacement, self.period)
+
+    @cached_property
+    def force_spectrum(self) -> Spectrum:
+        """Spectrum of the force."""
+        return Spectrum(self.force, self.period)
+
 
 @dataclass(frozen=True, eq=False)
 class Checked:
     """The findings on samples, and the ``samples`` as they are used, in which faults are mended.
 
     ``parts`` are the stretches that are used; more than one where samples are missing or useless.
+    ``clipped`` (n,) marks forces that a fit leaves out, None without any.
     """
 
     samples: Samples
     findings: tuple[Finding, ...]
     parts: tuple[slice, ...] = (slice(None),)
+    clipped: Mask | None = None
 
     @property
     def refused(self) -> Finding | None:
@@ -151,12 +164,15 @@ class Checked:
         return next((each for each in self.findings if each.severity is REFUSE), None)
 
 
-def check_samples(given: Samples, *, mend: bool = True) -> Checked:
+def check_samples(given: Samples, gaps: Sequence[slice] = (), *, mend: bool = True) -> Checked:
     """Check finite samples of a run, and with ``mend`` mend what can be mended.
+
+    The samples in ``gaps`` are interpolated; a displacement in a short one is restored.
 
     Spikes and held values are bridged, short clipping of the displacement is restored, and a
     disturbance of it that stands apart from the motion is filtered without a shift in time. Where
-    samples are missing, or a channel is stuck, the ``parts`` are cut. The findings say so.
+    samples are missing, or a channel is stuck, the ``parts`` are cut, and ``clipped`` forces are
+    marked. The findings say so.
     """
     if given.force.size < _FEWEST:
         return Checked(given, ())
@@ -173,13 +189,21 @@ def check_samples(given: Samples, *, mend: bool = True) -> Checked:
         refused.append(stuck.finding)
     if refused:
         return Checked(given, tuple(refused))
+    cycle, long = _cycle(given), list(gaps)
+    if mend:
+        long = [gap for gap in gaps if gap.stop - gap.start > _RESTORED * cycle]
+        short = [gap for gap in gaps if gap not in long]
+        restored = _restored(given.displacement, short, cycle) if short else None
+        given = given if restored is None else replace(given, displacement=restored)
     samples, found = _mended(given, mend=mend)
-    lost, parts = _interruptions(samples, stuck, mend=mend)
+    clipped = _left_out(given.force, found) if mend else None
+    lost, parts = _interruptions(samples, stuck, long, mend=mend)
     held = any(each.kind is Kind.HELD and each.channel == "force" for each in found)
     if not held and (count := find_average(given.force)) > 1:
         found.append(Kind.SMOOTHED.found("force", value=count, count=count))
-    of_motion = inverted or tuple(_lag_findings(samples))
-    return Checked(samples, (*units, *lost, *found, *_quality(samples), *of_motion), parts)
+    of_motion = inverted or tuple(_lag_findings(samples, longest(list(parts))))
+    found = [*units, *lost, *found, *_quality(samples), *of_motion]
+    return Checked(samples, tuple(found), parts, clipped)
 
 
 def check_window(given: Samples, *, moves: bool) -> Checked:
@@ -288,17 +312,23 @@ def _cycle(samples: Samples) -> float:
 
 
 def _interruptions(
-    samples: Samples, stuck: _Stuck | None, *, mend: bool
+    samples: Samples, stuck: _Stuck | None, recorded: list[slice], *, mend: bool
 ) -> tuple[list[Finding], tuple[slice, ...]]:
-    """Findings on a channel that got stuck and on missing samples, and the parts between them."""
-    found, gaps = list[Finding](), list[slice]()
+    """Findings on a channel that got stuck and on missing samples, and the parts between them.
+
+    ``recorded`` are gaps that are known.
+    """
+    found, gaps = list[Finding](), recorded.copy()
+    if gaps:
+        found.append(Kind.MISSING.found(value=len(gaps), what=f"the time has {len(gaps)} gaps"))
     if stuck is not None:
         found.append(stuck.finding)
         gaps.append(stuck.stretch)
     places = jumps(samples.displacement) + 1
     lost = [place for place in places.tolist() if not any(_near(place, gap) for gap in gaps)]
     if lost:
-        found.append(Kind.MISSING.found("displacement", value=len(lost), count=len(lost)))
+        what = f"the displacement jumps {len(lost)} times, which no motion explains"
+        found.append(Kind.MISSING.found("displacement", value=len(lost), what=what))
         gaps += [slice(place, place) for place in lost]
     whole = (slice(0, samples.force.size),)
     if not (gaps and mend):
@@ -412,17 +442,34 @@ def _clipped(
     if name == "force":
         little = cut <= _LITTLE * extent(values)[1]
         return found.mended("little is cut off") if little else found, None
-    restored = values.copy()
-    for stay in (stay for limit in limits for stay in limit.stays):
+    return found, _restored(values, [stay for limit in limits for stay in limit.stays], cycle)
+
+
+def _restored(displacement: Array, stays: Sequence[slice], cycle: float) -> Array | None:
+    """A displacement (n,) with polynomials in short ``stays``; None if one is too long."""
+    restored = displacement.copy()
+    for stay in stays:
         length = stay.stop - stay.start
-        around = slice(max(stay.start - length, 0), min(stay.stop + length, values.size))
+        around = slice(max(stay.start - length, 0), min(stay.stop + length, displacement.size))
         if length > _RESTORED * cycle or around.stop - around.start < 3 * length:
-            return found, None
+            return None
         places = np.arange(around.start, around.stop)
         known = (places < stay.start) | (places >= stay.stop)
-        line = np.polynomial.Polynomial.fit(places[known], values[around][known], 4)
+        line = np.polynomial.Polynomial.fit(places[known], displacement[around][known], 4)
         restored[stay] = line(places[~known])
-    return found, restored
+    return restored
+
+
+def _left_out(force: Array, found: list[Finding]) -> Mask | None:
+    """The clipped forces (n,), if enough others remain for a fit; the finding then says so."""
+    for place, each in enumerate(found):
+        if each.kind is Kind.CLIPPED and each.channel == "force":
+            clipped = np.isin(force, [limit.extreme for limit in clipped_at(force)])
+            if (share := float(clipped.mean())) <= 1.0 - _LEAST_USED:
+                severity = NOTE if each.severity is NOTE else WARN
+                found[place] = each.mended(f"a fit leaves out {share:.1%} of the samples", severity)
+                return clipped
+    return None
 
 
 def _without_glitches(current: Array) -> tuple[Finding | None, Array]:
@@ -463,10 +510,9 @@ def _hum(channel: str, line: Line) -> Finding:
 
 def _disturbances(samples: Samples) -> list[Line]:
     """Disturbances of the displacement that stand apart from the motion, and move no damper."""
-    displacement, force, period = samples.displacement, samples.force, samples.period
-    motion, answer = Spectrum(displacement, period), Spectrum(force, period)
-    speed = usual_speed(displacement, period)
-    damping = float(np.std(force)) / max(speed, 1e-12)
+    motion, answer = samples.motion_spectrum, samples.force_spectrum
+    speed = usual_speed(samples.displacement, samples.period)
+    damping = float(np.std(samples.force)) / max(speed, 1e-12)
     found, fastest = [], motion.fastest
     for line in motion.standing_apart(fastest):
         ripple = 2.0 * math.pi * line.frequency * line.amplitude
@@ -496,8 +542,8 @@ def _quality(samples: Samples) -> Iterator[Finding]:
             continue
         gross = found.value > _GROSS[found.kind] * spread
         yield replace(found, severity=WARN if gross else NOTE)
-    force, moved = samples.force, Spectrum(samples.displacement, samples.period)
-    for line in Spectrum(force, samples.period).standing_apart(moved.fastest):
+    force, moved = samples.force, samples.motion_spectrum
+    for line in samples.force_spectrum.standing_apart(moved.fastest):
         large = line.amplitude > _HUM_OF_FORCE * float(np.std(force))
         # The harmonics of the motion, and what the displacement holds, too, are no disturbance.
         if (
@@ -515,8 +561,8 @@ def _quality(samples: Samples) -> Iterator[Finding]:
 # -- motion and force ------------------------------------------------------------------------
 
 
-def _lag_findings(samples: Samples) -> Iterator[Finding]:
-    displacement, force, period = samples.displacement, samples.force, samples.period
+def _lag_findings(samples: Samples, part: slice) -> Iterator[Finding]:
+    displacement, force, period = samples.displacement[part], samples.force[part], samples.period
     lead = force_lead(displacement, force, period)
     if lead.seconds > max(_EARLY, SIGMAS * lead.error) and lead.mass > _HEAVIEST:
         early, doubt = 1e3 * lead.seconds, 1e3 * lead.error

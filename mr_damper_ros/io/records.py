@@ -45,6 +45,9 @@ _FEW = 0.05
 _BRIDGED = 5.0
 """Longest time step that is bridged by interpolation, in median steps."""
 
+_LONGEST_GAP = 1.0
+"""Longest time step [s] that is taken for lost samples, and not for a pause between runs."""
+
 _EPOCH = 1e9
 """Times above this value [s] are relative to 1970, smaller ones to the start of the record."""
 
@@ -67,7 +70,7 @@ class SampledRecord:
 
     ``time`` [s] is the time column of the file, or starts at 0 with the given ``period`` [s].
     ``place`` describes the location of a row in the file. ``blocks`` are the rows at which the file
-    begins a new block of samples. The recordings receive ``details``.
+    begins a new block of samples. The recordings receive ``details`` and ``gaps``.
     """
 
     path: Path
@@ -77,6 +80,7 @@ class SampledRecord:
     place: Callable[[int], str]
     blocks: tuple[int, ...] = ()
     details: dict[str, str] = field(default_factory=dict)
+    gaps: tuple[slice, ...] = ()
 
     def part(self, rows: slice) -> SampledRecord:
         """A part of the record."""
@@ -188,7 +192,7 @@ class SampledRecord:
         rows = displacement, self.values["force"], given, self.values.get("temperature")
         details = self.details | ({"note": "; ".join(notes)} if notes else {})
         try:
-            recording = Recording(name or self.path.stem, start_ns, period, *rows, details)
+            recording = Recording(name or self.path.stem, start_ns, period, *rows, details, self.gaps)
         except NotFiniteError as error:
             value = self.values[error.quantity][error.sample]
             raise self._not_finite(error.quantity, error.sample, value) from error
@@ -200,7 +204,7 @@ class SampledRecord:
         """The record at uniform times, if its steps are neither uniform nor long.
 
         Test machines add a sample at the end of a segment, loggers lose samples, and change their
-        rate. None if the steps are uniform, or one is too long to be bridged.
+        rate. None if the steps are uniform, or one is a pause.
         """
         steps = np.diff(self.time)
         if steps.size < 2 or np.any(steps <= 0.0):
@@ -211,7 +215,7 @@ class SampledRecord:
         jitters = float(np.max(np.abs(self.time - even))) <= _GAP * usual
         few_short = np.all(steps[others] < usual) and np.count_nonzero(others) > 0
         few_short = few_short and np.count_nonzero(others) <= _FEW * steps.size + 1.0
-        if steps.max() > _BRIDGED * usual:
+        if steps.max() > max(_BRIDGED * usual, _LONGEST_GAP):
             return None
         if not few_short and jitters and steps.max() <= _GAP * usual:
             return None
@@ -219,22 +223,49 @@ class SampledRecord:
         kept = steps[~others]
         whole = _plain(float(np.sum(kept)), kept.size, 0.01 * usual) if few_short else usual
         time = np.arange(self.time[0], self.time[-1] + 1e-6 * whole, whole)
-        values = {}
-        for quantity, array in self.values.items():
-            self.check_finite(quantity, array)
-            if quantity == "current":
-                rows = np.searchsorted(self.time, time + 1e-6 * whole, side="right") - 1
-                values[quantity] = array[rows]
-            else:
-                values[quantity] = np.interp(time, self.time, array)
+        values = {quantity: self._at(quantity, time) for quantity in self.values}
         note = (
             f"{np.count_nonzero(others)} of {steps.size} steps of the time differ from "
             f"{whole:.6g} s: the samples were interpolated to uniform times"
         )
+        lost = np.flatnonzero(steps > _BRIDGED * usual)
+        starts = np.searchsorted(time, self.time[lost] + 1e-6 * whole, side="right").tolist()
+        stops = np.searchsorted(time, self.time[lost + 1] - 1e-6 * whole).tolist()
+        gaps = tuple(map(slice, starts, stops))
+        return replace(self, time=time, values=values, gaps=gaps)._noted(note)
+
+    def _at(self, quantity: str, time: Array) -> Array:
+        """A quantity at other times (m,) [s]: a current is held, others are interpolated."""
+        array = self.values[quantity]
+        self.check_finite(quantity, array)
+        if quantity != "current":
+            return np.interp(time, self.time, array)
+        rows = np.searchsorted(self.time, time + 1e-6 * _usual_step(self.time), side="right") - 1
+        return array[rows.clip(0)]
+
+    def _noted(self, note: str) -> SampledRecord:
+        """The record with one more note in its details."""
         notes = [*filter(None, [self.details.get("note")]), note]
-        return replace(
-            self, time=time, values=values, details={**self.details, "note": "; ".join(notes)}
-        )
+        return replace(self, details={**self.details, "note": "; ".join(notes)})
+
+    def on_time(self, quantity: str, late: float) -> SampledRecord:
+        """The record with a quantity moved back that was recorded ``late`` [s], early if negative.
+
+        Rows without this quantity are left out. Raises RecordError if none is left, or no column
+        holds it.
+        """
+        if quantity not in self.values:
+            raise RecordError(f"no column holds the {quantity}, so it cannot be late")
+        at = self.time + late
+        inside = np.flatnonzero((at >= self.time[0]) & (at <= self.time[-1]))
+        if inside.size < 2:
+            raise RecordError(
+                f"the {quantity} cannot be {late:g} s late in a record of "
+                f"{self.time[-1] - self.time[0]:g} s"
+            )
+        values = {**self.values, quantity: self._at(quantity, at)}
+        moved = replace(self, values=values).part(slice(int(inside[0]), int(inside[-1]) + 1))
+        return moved._noted(f"the {quantity}, {late:g} s late, was moved back")
 
     def _even_pace(self) -> tuple[float, str]:
         """Period [s] of uniform times, and a note if they jitter.
@@ -326,6 +357,8 @@ def read_record(
     variable: str | None = None,
     moving_average: int | None = None,
     begins_in_motion: bool = False,
+    force_lateness: float = 0.0,
+    current_lateness: float = 0.0,
     decimal_mark: str | None = None,
     maximum_samples: int = MAXIMUM_SAMPLES,
     progress: Progress | None = None,
@@ -365,6 +398,10 @@ def read_record(
     begins_in_motion
         Whether the averaged record begins in motion. The result is then approximate: it lacks the
         part that the average removed, which is small in a record of many cycles.
+    force_lateness, current_lateness
+        Time [s] by which this column was recorded later than the displacement, negative if earlier.
+
+        The column is moved back, and ``details["note"]`` says so.
     decimal_mark
         Decimal mark of a text file, . or , if its numbers do not show it.
     maximum_samples
@@ -389,6 +426,8 @@ def read_record(
     record = _read_samples(path, wanted, period, variable, maximum_samples, text)
     if moving_average is not None:
         record = record.without_average(moving_average, begins_in_motion)
+    for quantity, late in (("force", force_lateness), ("current", current_lateness)):
+        record = record.on_time(quantity, late) if late else record
     return record.between(start, stop).recording(current)
 
 

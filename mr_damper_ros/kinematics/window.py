@@ -424,6 +424,11 @@ class Window:
         return MotionHistory(motion, current, period, places, branch, periodic=True)
 
     @property
+    def time(self) -> Array:
+        """Time of each sample [s] since the start of the complete window, shape (n,)."""
+        return self._places * (self.whole or self).period
+
+    @property
     def sample_count(self) -> int:
         """Number of samples."""
         return int(self.force.size)

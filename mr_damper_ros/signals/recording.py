@@ -41,12 +41,13 @@ class NotFiniteError(RecordingError):
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Samples of displacement, force and current at a fixed period, without gaps.
+    """Samples of displacement, force and current at a fixed period.
 
     ``displacement`` [m] (extension positive), ``force`` [N] (tension positive), ``current`` [A]
     and, if it was measured, ``temperature`` [°C] have shape (n,). Sample k was taken at
     ``start_ns`` + k ``period`` (nanoseconds since the epoch, seconds). ``details`` describes the
-    origin of the recording and is stored in the metadata of a bag.
+    origin of the recording and is stored in the metadata of a bag. The samples in ``gaps`` were not
+    recorded, but are interpolated; a bag does not hold them.
 
     The constructor checks the values, so all later computations may assume finite values.
 
@@ -62,6 +63,7 @@ class Recording:
     current: Array
     temperature: Array | None = None
     details: dict[str, str] = field(default_factory=dict)
+    gaps: tuple[slice, ...] = ()
 
     def __post_init__(self) -> None:
         period = np.asarray(self.period, dtype=np.float64)
@@ -129,7 +131,12 @@ class Recording:
             name: None if (values := getattr(self, name)) is None else values[chosen]
             for name in ("displacement", "force", "current", "temperature")
         }
-        return replace(self, start_ns=self.stamp_ns(first), **channels)
+        gaps = tuple(
+            slice(max(gap.start, first) - first, min(gap.stop, last) - first)
+            for gap in self.gaps
+            if gap.stop > first and gap.start < last
+        )
+        return replace(self, start_ns=self.stamp_ns(first), gaps=gaps, **channels)
 
     def stamp_ns(self, index: int) -> int:
         """Stamp of a sample [ns since the epoch]."""
@@ -166,8 +173,14 @@ def stream_of(recording: Recording, block_size: int = BLOCK_SIZE) -> Iterator[St
     if block_size < 1:
         raise ValueError(f"the block size is {block_size}: it must be at least 1")
     changes = np.flatnonzero(np.diff(recording.current, prepend=math.nan))
-    for first in range(0, recording.sample_count, block_size):
-        last = min(first + block_size, recording.sample_count) - 1
+    starts = [0, *(gap.stop for gap in recording.gaps)]
+    stops = [*(gap.start for gap in recording.gaps), recording.sample_count]
+    blocks = [
+        (first, min(first + block_size, stop) - 1)
+        for start, stop in zip(starts, stops, strict=True)
+        for first in range(start, stop, block_size)
+    ]
+    for first, last in blocks:
         inside = changes[np.searchsorted(changes, first) : np.searchsorted(changes, last)]
         for place in (*inside.tolist(), last):
             yield CurrentReading(recording.stamp_ns(place), float(recording.current[place]))

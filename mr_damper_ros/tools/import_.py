@@ -52,7 +52,7 @@ examples:
 
 _OPTIONS = (
     *("columns", "current", "period", "start", "stop", "moving_average", "begins_in_motion"),
-    *("variable", "decimal_mark", "maximum_samples"),
+    *("force_lateness", "current_lateness", "variable", "decimal_mark", "maximum_samples"),
 )
 _BOTH = (
     "give both the columns (--columns) and the bag (--output); without either, the program "
@@ -233,8 +233,11 @@ def _cell(row: list[str], place: int) -> str:
 def _import_runs(options: argparse.Namespace) -> int:
     if options.start is not None or options.stop is not None:
         raise RecordError("--from and --to apply to a single run: omit them, or omit --split")
-    if options.moving_average is not None:
-        raise RecordError("--undo-moving-average applies to a single run: omit it, or omit --split")
+    if options.moving_average is not None or options.force_lateness or options.current_lateness:
+        raise RecordError(
+            "--undo-moving-average, --force-lateness and --current-lateness apply to a single run: "
+            "omit them, or omit --split"
+        )
     with StatusLine() as line:
         text = TextOptions(options.decimal_mark, _shown(line, f"reading {options.file.name}"))
         runs = RunsOfFile(

@@ -124,20 +124,46 @@ MATTERS, NOTHING = 0.15, 0.01
 
 @pytest.mark.parametrize("part", CLIPPED)
 @pytest.mark.parametrize(("law", "name", "seed"), SOUND)
-def test_a_clipped_force_is_named_and_refused_if_much_is_cut_off(
+def test_a_clipped_force_is_named_and_warned_of_if_much_is_cut_off(
     part: str, law: str, name: str, seed: int
 ) -> None:
     given = sound(law, name, seed)
     changed = clipped(*CLIPPED[part])(given)
-    found = [f for f in check_samples(changed).findings if f.kind is Kind.CLIPPED]
+    checked = check_samples(changed)
+    found = [f for f in checked.findings if f.kind is Kind.CLIPPED]
     assert len(found) == 1
+    assert checked.clipped is not None
+    assert np.all(np.abs(given.force - changed.force)[~checked.clipped] == 0.0)
     # Without the noise of the load cell, of which the largest values are cut off, too.
     low, high = np.quantile(given.force, (0.01, 0.99))
     cut = max(high - changed.force.max(), changed.force.min() - low) / (0.5 * (high - low))
     if cut > MATTERS:
-        assert found[0].severity is REFUSE
+        assert found[0].severity is WARN
     if cut < NOTHING:
         assert found[0].severity is NOTE
+
+
+def test_a_force_that_is_clipped_most_of_the_time_is_refused() -> None:
+    assert kinds(clipped(0.3, 0.6)(sound())) == {Kind.CLIPPED: REFUSE}
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_fit_leaves_out_clipped_forces(law: str) -> None:
+    given = sound(law, "random")
+    found = mr.identify(recording(clipped(0.1, 0.85)(given)), model=law)
+    assert Kind.CLIPPED in [each.kind for each in found.findings]
+    window = Window.from_samples(given.displacement, given.force, given.current, PERIOD)
+    error = found.parameter_set.window_force(window) - given.force
+    assert np.std(error) < 0.03 * np.std(given.force)
+
+
+def test_a_clipped_force_is_a_note_if_the_set_predicts_little_beyond_it() -> None:
+    severities = [
+        next(each.severity for each in found if each.kind is Kind.CLIPPED)
+        for high in (0.98, 0.6)
+        for found in [mr.identify(recording(clipped(0.0, high)(sound(name="random")))).findings]
+    ]
+    assert severities == [NOTE, WARN]
 
 
 def test_a_force_above_those_of_usual_dampers_is_warned_of() -> None:
@@ -416,6 +442,25 @@ def test_samples_lost_all_the_time_are_warned_of() -> None:
     kept = np.arange(given.force.size) % 150 < 120
     rows = (values[kept] for values in (given.displacement, given.force, given.current))
     assert Kind.MISSING in kinds(Samples(*rows, PERIOD))
+
+
+@pytest.mark.parametrize(("name", "lost"), [("slow", 60), ("random", 250)])
+def test_recorded_gaps_are_restored_if_they_are_short_and_cut_out_otherwise(
+    name: str, lost: int
+) -> None:
+    given = sound(name=name)
+    gaps = (slice(1400, 1400 + lost), slice(3900, 3900 + lost))
+    kept = np.ones(TIME.size, dtype=bool)
+    for gap in gaps:
+        kept[gap] = False
+    values = {n: getattr(given, n) for n in ("displacement", "force", "current")}
+    bridged = {n: np.interp(TIME, TIME[kept], each[kept]) for n, each in values.items()}
+    found = mr.identify(Recording(name, DEFAULT_START_NS, PERIOD, **bridged, gaps=gaps))
+    assert [each.severity for each in found.findings if each.kind is Kind.MISSING] in ([], [NOTE])
+    assert sum(run.error.count for run in found.runs) == np.count_nonzero(kept)
+    window = Window.from_samples(given.displacement, given.force, given.current, PERIOD)
+    error = found.parameter_set.window_force(window) - given.force
+    assert np.std(error) < 0.05 * np.std(given.force)
 
 
 # -- causes of a poor fit ------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
+import mr_damper_ros as mr
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.columns import UNITS, ColumnError, parse_columns
 from mr_damper_ros.io.records import read_record, read_runs
@@ -307,6 +308,35 @@ def test_samples_at_uneven_times_are_interpolated_to_uniform_ones(write: Any) ->
     np.testing.assert_allclose(read.displacement, true, rtol=0.0, atol=3e-6)
 
 
+def test_lost_samples_leave_a_gap_that_a_bag_does_not_hold(write: Any, tmp_path: Path) -> None:
+    lines = [f"{t:.6f} {5 * np.sin(t):.9f} {9 * np.cos(t):.9f}" for t in np.arange(200) * 0.01]
+    read = read_record(write(lines[:50] + lines[80:]), COLUMNS, current=0.5)
+    assert (read.sample_count, read.gaps) == (200, (slice(50, 80),))
+    assert read.part(slice(60, 150)).gaps == (slice(0, 20),)
+    mr.write_bag(tmp_path / "bag", read)
+    sections = read_bag(tmp_path / "bag")
+    assert [each.sample_count for each in sections] == [50, 120]
+    np.testing.assert_array_equal(sections[1].force, read.force[80:])
+
+
+@pytest.mark.parametrize("late", [0.03, -0.03])
+def test_a_late_column_is_moved_back_and_it_is_said(write: Any, late: float) -> None:
+    shifted = np.roll(FORCE, round(late / 0.01))
+    table = zip(TIME, DISPLACEMENT_MM, shifted, strict=True)
+    path = write([" ".join(f"{value:.6f}" for value in row) for row in table])
+    read = read_record(path, COLUMNS, current=0.5, force_lateness=late)
+    kept = slice(None, -3) if late > 0.0 else slice(3, None)
+    np.testing.assert_allclose(read.force, FORCE[kept], rtol=0.0, atol=WRITTEN_FORCE)
+    np.testing.assert_allclose(read.displacement, 1e-3 * DISPLACEMENT_MM[kept], atol=1e-9)
+    assert f"the force, {late:g} s late, was moved back" in read.details["note"]
+
+
+def test_a_current_that_no_column_holds_cannot_be_late(write: Any) -> None:
+    path = write(rows())
+    sentence = refused(lambda: read_record(path, COLUMNS, current=0.5, current_lateness=0.1))
+    assert "no column holds the current" in sentence
+
+
 def test_a_header_that_is_not_there_is_named_with_those_that_are(write: Any) -> None:
     path = write(["t;x;F", *rows(";")])
     sentence = refused(
@@ -350,8 +380,8 @@ def with_line(index: int, text: str) -> list[str]:
         (with_line(7, "0.070000 1"), "line 8 of run.txt has 2 columns, but column 3 is needed"),
         (with_line(7, "0.060000 1 2"), "the time in line 8 of run.txt does not increase"),
         (
-            rows()[:5] + rows()[15:],
-            "the time in line 6 of run.txt increases by 0.11 s instead of 0.01 s",
+            [*rows()[:5], "1.200000 1 2"],
+            "the time in line 6 of run.txt increases by 1.16 s instead of 0.01 s",
         ),
         (rows()[:1], "holds one row of numbers"),
         (["time displacement force"], "holds no row with numbers in columns 1, 2, 3"),
@@ -434,6 +464,19 @@ def test_expected_failures_have_exit_codes(
 
     assert program("tool", None, lambda parser: None, run)([]) == code
     assert capsys.readouterr().err.strip().startswith("tool: ")
+
+
+@pytest.mark.parametrize(("factor", "code"), [(1.0, 0), (-1.0, 2)])
+def test_a_bag_is_checked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], factor: float, code: int
+) -> None:
+    time = np.arange(1000) * 1e-3
+    displacement, force = 5e-3 * np.sin(20.0 * time), factor * 900.0 * np.cos(20.0 * time)
+    run = mr.Recording("run", 0, 1e-3, displacement, force, np.ones(time.size))
+    bag = tmp_path / "bag"
+    mr.write_bag(bag, run)
+    assert check.main([str(bag)]) == code
+    assert ("No fault found" in capsys.readouterr().out) == (code == 0)
 
 
 @pytest.mark.parametrize("tool", [check, watch])
