@@ -329,6 +329,7 @@ class ForcePredictor:
                 half_cycle,
                 float(current[-1]),
             ),
+            bound=self._monitor.bound,
         )
         allowed, sensible = self._monitor.allowed, self._newest_kind is not DoubtKind.SENSOR
         if self._bank.uses_given and sensible and allowed < math.inf:
