@@ -37,8 +37,8 @@ _SHORTEST = 0.2
 at least twice this time to count as a fault, because a short half-cycle is inaccurate."""
 
 _TAIL = 0.025
-"""Part of the time, at either end, that the span of the force excludes, so that it is that of a 95 %
-quantile: a knock, a loose plug or an amplifier in saturation is shorter."""
+"""Part of the time, at either end, that the span of the force excludes: together, a 95 % quantile.
+A knock, a loose plug or an amplifier in saturation is shorter."""
 
 _POINTS = 16
 """Number of quantiles that represent the measured force of a stretch."""
