@@ -15,14 +15,14 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.models.quantities import SAME_CURRENT
-from mr_damper_ros.signals.arrays import SIGMAS, Array
+from mr_damper_ros.signals.arrays import SIGMAS, Array, Mask
 
 _BESIDE, _ISOLATED = 2, 0.33
 """In so many samples on either side, the error moves on by less than this part of the jump. A coil
 of 5 ms that is sampled every 5 ms moves on by 0.37."""
 
 _FEWEST = 20
-"""Smallest number of samples before a jump, and after it that of samples beside it."""
+"""Smallest number of samples before a jump, and after it for a diagnosis."""
 
 _OFTEN = 0.05
 """Part of the samples in which the error of the set changes more than usual."""
@@ -125,8 +125,13 @@ def _has_excuse(current: Array, place: int, period: float) -> bool:
     return bool(np.ptp(current[max(place - beside, 0) : place + beside]) > SAME_CURRENT)
 
 
-def _typical(values: Array) -> float:
-    return float(np.median(np.abs(values)))
+def _typical(values: Array, above: Mask | None = None) -> float:
+    """Typical size of values (n,): their median, or that of the worse side of the motion."""
+    size = np.abs(values)
+    if above is None:
+        return float(np.median(size))
+    sides = (size[side] for side in (above, ~above) if np.count_nonzero(side) > _BESIDE)
+    return max((float(np.median(side)) for side in sides), default=np.inf)
 
 
 def _judged(given: Compared, place: int) -> Found | None:
@@ -134,16 +139,16 @@ def _judged(given: Compared, place: int) -> Found | None:
     predicted, measured, _, period = given
     # What a set from another run does not know of the zero.
     predicted = predicted + np.median((measured - predicted)[:place])
-    residual = measured - predicted
-    just_before = residual[max(2 * place - residual.size, 0) : place][-max(place // 2, _FEWEST) :]
-    error = max(_typical(residual[:place]), _typical(just_before))
-    size = _typical(predicted)
-    after = slice(place, None)
-    p, m = predicted[after], measured[after]
+    residual, above = measured - predicted, predicted > np.mean(predicted)
+    nearby = max(min(residual.size - place, place // 2), _FEWEST)
+    error = max(
+        _typical(residual[begin:place], above[begin:place]) for begin in (0, place - nearby)
+    )
+    p, m, above = predicted[place:], measured[place:], above[place:]
+    without = _typical(m - p)
     sound = np.abs(m) <= SIGMAS * np.quantile(np.abs(m), 1.0 - _OFTEN)
     power = float(p[sound] @ p[sound])
-    without = _typical(m - p)
-    if not (power > 0.0 and error < _GOOD * size and error < _EXPLAINS * without):
+    if not (power > 0.0 and error < min(_GOOD * _typical(predicted), _EXPLAINS * without)):
         return None
     factor = float(p[sound] @ m[sound]) / power if period <= _RESOLVES else 1.0
     offset = float(np.median(m - p))
@@ -153,17 +158,19 @@ def _judged(given: Compared, place: int) -> Found | None:
         (left, *step)
         for left, expected, step in (
             (
-                _typical(m - factor * p) / max(abs(factor), 1.0),
+                _typical(m - factor * p, above) / max(abs(factor), 1.0),
                 (factor - 1.0) * float(measured[place - 1]),
                 (factor, 0.0),
             ),
-            (_typical(m - p - offset), offset, (1.0, offset)),
+            (_typical(m - p - offset, above), offset, (1.0, offset)),
         )
         if left <= most and abs(jump - expected) <= _CLOSE * abs(jump)
     ]
     if not explained:
         return None
-    return Found(place, *min(explained)[1:]) if _tells_apart(p, predicted) else Found(place)
+    if measured.size - place < _FEWEST or not _tells_apart(p, predicted):
+        return Found(place)
+    return Found(place, *min(explained)[1:])
 
 
 def _tells_apart(force: Array, whole: Array) -> bool:

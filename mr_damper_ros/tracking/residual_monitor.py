@@ -17,7 +17,7 @@ from operator import mul, not_
 
 import numpy as np
 
-from mr_damper_ros.data_check.samples import NEGATIVE_POWER
+from mr_damper_ros.data_check.samples import NEGATIVE_POWER, SMALLEST_FORCE, wrong_unit
 from mr_damper_ros.kinematics.peak_velocity import HALF_CYCLES
 from mr_damper_ros.models.quantities import NOTICED, SAME_CURRENT
 from mr_damper_ros.signals.arrays import SIGMAS, Array, RollingRows, span_of, white_noise
@@ -384,6 +384,9 @@ class ResidualMonitor:
             found.append(_MEASURED_DRIVES)
         if peak == 0.0:
             return found
+        if peak < SMALLEST_FORCE:
+            finding = wrong_unit("force", "reaches only", peak, "kilonewtons")
+            found.append(Objection(DoubtKind.SENSOR, finding.sentence))
         errors: list[float] = (predicted - measured).tolist()
         wrong, wild = self._wrong_samples(errors, measured.tolist())
         self._follow([*compress(errors, map(not_, wild))])
