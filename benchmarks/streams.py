@@ -52,15 +52,17 @@ WORSE = 0.05
 
 @dataclass(frozen=True)
 class TrialSettings:
-    """Settings of a trial at 1 kHz; the ``engine`` has the defaults of the nodes.
+    """Settings of a trial; the ``engine`` has the defaults of the nodes.
 
-    ``force_noise`` [N] and ``displacement_noise`` [m] are standard deviations.
+    ``sample_rate`` is in Hz. ``force_noise`` [N] and ``displacement_noise`` [m] are standard
+    deviations.
     """
 
     seed: int = 0
     block_size: int = 10
     force_noise: float = THESIS_FORCE_NOISE
     displacement_noise: float = 1e-6
+    sample_rate: float = 1000.0
     engine: EngineSettings = field(default_factory=EngineSettings)
 
 
@@ -168,6 +170,12 @@ def _stretches(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return edges[::2], edges[1::2]
 
 
+def worst_stretch(mask: np.ndarray, period: float) -> tuple[float, float]:
+    """Longest stretch and total time [s] in which a mask (n,) is true."""
+    begins, ends = _stretches(mask)
+    return float(np.max(ends - begins, initial=0)) * period, float(mask.sum()) * period
+
+
 def at_rest(result: TrialResult) -> np.ndarray:
     """Mask (n,) of the samples in a rest of the machine of half a second or longer.
 
@@ -255,7 +263,7 @@ class StreamTrial:
             damper,
             excitation,
             current,
-            settings=RigSettings(force_noise=0.0, seed=given.seed),
+            settings=RigSettings(given.sample_rate, force_noise=0.0, seed=given.seed),
             thermal=thermal,
             faults=faults,
         )

@@ -62,7 +62,7 @@ _LARGEST_SPEED = 5.0
 _SPIKES = 0.06
 """Part of the samples that may be spikes, and does not count for the size of a channel."""
 
-_SMALLEST_FORCE, _UNUSUAL_FORCE = 5.0, 2e5
+SMALLEST_FORCE, _UNUSUAL_FORCE = 5.0, 2e5
 """Smallest plausible peak force [N], and the largest that is usual: the few larger MR dampers are
 those of buildings, and a small damper in the wrong unit seems as strong."""
 
@@ -227,29 +227,29 @@ def check_window(given: Samples, *, moves: bool) -> Checked:
 def unit_findings(samples: Samples, *, moves: bool = True) -> Iterator[Finding]:
     """Findings on values that no damper gives in SI units."""
     if not _PERIODS[0] <= samples.period <= _PERIODS[1]:
-        yield _wrong_unit("time", "has a sample period of", samples.period, "another unit", "s")
+        yield wrong_unit("time", "has a sample period of", samples.period, "another unit", "s")
     span = 2.0 * extent(samples.displacement, _SPIKES)[1]
     speed = float(np.quantile(np.abs(np.diff(samples.displacement)), 0.7)) / samples.period
     if span > LARGEST_MOTION:
-        yield _wrong_unit("displacement", "spans", span, "millimetres")
+        yield wrong_unit("displacement", "spans", span, "millimetres")
     elif moves and span < _SMALLEST_MOTION:
         if span <= NOISE_SPAN * white_noise(samples.displacement):
             yield Kind.AT_REST.found("displacement", value=span, span=span, unit="m")
         else:
-            yield _wrong_unit("displacement", "spans only", span, "metres")
+            yield wrong_unit("displacement", "spans only", span, "metres")
     elif speed > _LARGEST_SPEED:
-        yield _wrong_unit("time", "lets the rod move at", speed, "another unit", "m/s on average")
+        yield wrong_unit("time", "lets the rod move at", speed, "another unit", "m/s on average")
     largest = float(np.quantile(np.abs(samples.force), 1.0 - _SPIKES))
     if largest > LARGEST_FORCE:
-        yield _wrong_unit("force", "reaches", largest, "another unit")
-    elif moves and 0.0 < largest < _SMALLEST_FORCE:
-        yield _wrong_unit("force", "reaches only", largest, "kilonewtons")
+        yield wrong_unit("force", "reaches", largest, "another unit")
+    elif moves and 0.0 < largest < SMALLEST_FORCE:
+        yield wrong_unit("force", "reaches only", largest, "kilonewtons")
     elif largest > _UNUSUAL_FORCE:
-        unusual = _wrong_unit("force", "reaches", largest, "another unit")
+        unusual = wrong_unit("force", "reaches", largest, "another unit")
         yield replace(unusual, severity=WARN)
     largest = float(np.max(np.abs(samples.current)))
     if largest > LARGEST_CURRENT:
-        yield _wrong_unit("current", "reaches", largest, "milliamperes")
+        yield wrong_unit("current", "reaches", largest, "milliamperes")
 
 
 def temperature_findings(temperature: Array) -> Iterator[Finding]:
@@ -257,10 +257,11 @@ def temperature_findings(temperature: Array) -> Iterator[Finding]:
     low, high = float(np.min(temperature)), float(np.max(temperature))
     if low < TEMPERATURES[0] or high > TEMPERATURES[1]:
         worst = low if low < TEMPERATURES[0] else high
-        yield _wrong_unit("temperature", "reaches", worst, "kelvin")
+        yield wrong_unit("temperature", "reaches", worst, "kelvin")
 
 
-def _wrong_unit(channel: str, reaches: str, size: float, other: str, unit: str = "") -> Finding:
+def wrong_unit(channel: str, reaches: str, size: float, other: str, unit: str = "") -> Finding:
+    """The finding that a size is that of the ``other`` unit."""
     return Kind.UNIT.found(
         channel, value=size, reaches=reaches, size=size, unit=unit or UNITS[channel], other=other
     )

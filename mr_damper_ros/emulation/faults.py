@@ -27,7 +27,8 @@ _ROUNDING = 1e-9
 """Tolerance [s], so that a fault affects the sample at which the fault begins."""
 
 _CHANGE = 0.1
-"""Time [s] in which the machine changes its motion."""
+"""Time [s] in which the machine changes its motion, or a damper its force. Only an instrument
+changes within one sample."""
 
 
 class FaultError(ValueError):
@@ -66,7 +67,8 @@ class Kind:
     ``unit`` is the unit of the value: "channel" stands for the unit of the channel, and an empty
     string means that the fault has no value. ``usual`` is the default value and ``least`` the
     smallest valid value. If ``masked``, the result of ``act`` is used only while the fault is
-    active; otherwise ``act`` is always used and handles the times itself.
+    active; otherwise ``act`` is always used and handles the times itself. A masked fault sets in,
+    and ends, within ``transition`` [s].
     """
 
     stage: Stage
@@ -76,6 +78,7 @@ class Kind:
     usual: float = 1.0
     least: float = -math.inf
     masked: bool = True
+    transition: float = 0.0
 
 
 @dataclass(eq=False)
@@ -116,6 +119,15 @@ class Fault:
         """Mask (n,): whether the fault is active at each time [s]."""
         return np.asarray((time >= self.begin - _ROUNDING) & (time < self.end - _ROUNDING))
 
+    def share(self, time: Array) -> Array:
+        """Part (n,) of the fault that has set in at each time [s], from 0 to 1."""
+        lasts = self.kind.transition
+        if lasts == 0.0:
+            return self.active(time).astype(np.float64)
+        # A fault without a beginning is present from the start.
+        since = time - self.begin if self.begin > 0.0 else np.full(time.size, lasts)
+        return np.minimum(since, self.end + lasts - time).clip(0.0, lasts) / lasts
+
     def active_in(self, block: RigBlock) -> bool:
         """Whether the fault is active at the first sample of a block.
 
@@ -138,7 +150,12 @@ def changed(faults: Sequence[Fault], stage: Stage, samples: Samples) -> Array:
         if fault.kind.stage == stage:
             values = fault.kind.act(fault, samples)
             if fault.kind.masked:
-                values = np.where(fault.active(samples.time), values, samples.values)
+                share = fault.share(samples.time)
+                # Not blended where the fault is whole or absent: its values may be NaN.
+                mixed = samples.values + share * (values - samples.values)
+                values = np.where(
+                    share == 0.0, samples.values, np.where(share == 1.0, values, mixed)
+                )
             samples = samples._replace(values=values)
     return samples.values
 
@@ -293,10 +310,11 @@ def _ahead(block: RigBlock, seconds: float) -> RigBlock:
 _motion, _coil, _force, _channel, _block, _delivery, _label = (
     partial(Kind, stage) for stage in get_args(Stage)
 )
+_damper_force, _damper_coil = (partial(kind, transition=_CHANGE) for kind in (_force, _coil))
 
 # In the functions of the table, f is the fault, s the samples, b the block.
 KINDS: tuple[Kind, ...] = (
-    _force("force_loss", lambda f, s: f.amount * s.values, "1", 0.5),
+    _damper_force("force_loss", lambda f, s: f.amount * s.values, "1", 0.5),
     _force(
         "wear",
         lambda f, s: np.interp(s.time, (f.begin, f.end), (1.0, f.amount)) * s.values,
@@ -304,12 +322,14 @@ KINDS: tuple[Kind, ...] = (
         masked=False,
     ),
     # The sign of the velocity, smoothed within 1 mm/s.
-    _force("friction", lambda f, s: s.values + f.amount * np.tanh(s.motion[1] / 1e-3), "N", 200.0),
-    _force("spring", lambda f, s: s.values + f.amount * s.motion[0], "N/m", 1e5),
+    _damper_force(
+        "friction", lambda f, s: s.values + f.amount * np.tanh(s.motion[1] / 1e-3), "N", 200.0
+    ),
+    _damper_force("spring", lambda f, s: s.values + f.amount * s.motion[0], "N/m", 1e5),
     _force("end_stop", _end_stop, "m", 0.004, 0.0),
     _force("backlash", _backlash, "m", 0.5e-3, 0.0),
-    _coil("coil_factor", lambda f, s: f.amount * s.values, "1", 0.0),
-    _coil("coil_offset", lambda f, s: s.values + f.amount, "A", 0.1),
+    _damper_coil("coil_factor", lambda f, s: f.amount * s.values, "1", 0.0),
+    _damper_coil("coil_offset", lambda f, s: s.values + f.amount, "A", 0.1),
     _motion("amplitude", lambda f, motion: _changed(f, motion, factor=f.amount), "1", 0.1),
     _motion("tempo", lambda f, motion: _changed(f, motion, tempo=f.amount), "1", 0.0, 0.0),
     _channel("gain", lambda f, s: f.amount * s.values, "1", 10.0),

@@ -249,7 +249,8 @@ class IdentifierNode(Node):
         return self._switch(lambda: self._identifier.replace(parameters))
 
     def _acknowledge(self, _: Any) -> str:
-        return self._identifier.state.acknowledge() or "there was nothing to acknowledge"
+        taken = self._identifier.state.acknowledge(), self._identifier.acknowledge()
+        return "; ".join(filter(None, taken)) or "there was nothing to acknowledge"
 
     def _switch(self, to_another_set: Callable[[], str]) -> str:
         """Publish pending results of the set in use, then put the other set in use."""

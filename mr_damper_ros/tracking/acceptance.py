@@ -308,6 +308,8 @@ class Verdict(IntEnum):
     """The window contains too little motion, so nothing was fitted."""
     BEYOND_LIMITS = 10
     """The force differs from the known forces by more than a damper can change."""
+    INSTRUMENT = 11
+    """The load cell changed, not the damper: a factor or an offset arrived within one sample."""
 
     @property
     def accepted(self) -> bool:
@@ -369,6 +371,13 @@ class AcceptanceSettings(CheckedSettings):
         0.5,
         "A larger relative change of the force must be confirmed by the next window.",
         within=(0.0, 1e6),
+    )
+    accept_force_steps: bool = option(
+        False,
+        "Whether a factor or an offset of the measured force that arrives within one sample counts "
+        "as a change of the damper. false: it is one of the load cell (verdict INSTRUMENT); the "
+        "sets stay as they are, and the force is invalid, until the load cell shows the force of "
+        "the set again, or the service acknowledge is called.",
     )
 
 

@@ -184,12 +184,13 @@ class Identifier:
         """Take over the outcome of the job."""
         search = self._search
         self._job = self._search = None
+        step = self.tracker.memory.step
         report = self.tracker.complete(outcome)
         if report is not None:
             if report.global_due:
                 self._searches.append(Search())
             self.last_report = report
-            if outcome.parameters is not None:
+            if outcome.parameters is not None or outcome.memory.step != step:
                 self.state.keep(self.tracker)
             publication = Publication(report, outcome.duration, outcome.parameters)
             self._outbox.add(publication, self.state.writer.given)
@@ -248,6 +249,15 @@ class Identifier:
             self._windows.appendleft(self._job.raw)
         self._supersede()
         return self.state.keep_now(self.tracker)
+
+    def acknowledge(self) -> str:
+        """Accept a step of the load cell; returns what was accepted, empty for nothing."""
+        if taken := self.tracker.acknowledge():
+            if self._job is not None and self._job.raw is not None:
+                self._windows.appendleft(self._job.raw)
+            self._supersede()
+            taken = "; ".join(filter(None, (taken, self.state.keep_now(self.tracker))))
+        return taken
 
     def _supersede(self) -> None:
         """Give up the running job and the waiting searches, whose windows are no longer known."""

@@ -254,7 +254,8 @@ class ForcePredictor:
 
     def follow_report(self, report: Report) -> None:
         """Process the identifier's report on a window."""
-        self._refused.follow(report.verdict, report.nrmse_before, confirms=report.confirms)
+        verdict, reason = report.verdict, report.reason
+        self._refused.follow(verdict, report.nrmse_before, confirms=report.confirms, reason=reason)
         if report.confirms:
             currents = self._current.span(report.window_start_ns, report.stamp_ns)
             if self._bank.confirm(report.set_id, report.stamp_ns, currents):
@@ -329,8 +330,10 @@ class ForcePredictor:
                 half_cycle,
                 float(current[-1]),
             ),
+            bound=self._monitor.bound,
         )
-        allowed, sensible = self._monitor.allowed, self._newest_kind is not DoubtKind.SENSOR
+        allowed = self._monitor.allowed
+        sensible = self._newest_kind not in (DoubtKind.SENSOR, DoubtKind.INSTRUMENT)
         if self._bank.uses_given and sensible and allowed < math.inf:
             self._zero.learn(block.force[part] - force[part], follower.centre.reversals, allowed)
         if (choice := self._bank.choice(self._newest_kind, allowed)) is not None:
@@ -522,6 +525,8 @@ class ForcePredictor:
         live, present = self.freshness.live, self._bank.present
         assert present is not None
         parameters, confirmed_ns = present.parameters, present.confirmed_ns
+        if of_instrument := self._refused.of_instrument:
+            found.append(Objection(DoubtKind.INSTRUMENT, of_instrument))
         found += objections_to_age(self._current, confirmed_ns, block.end_ns, settings, live=live)
         if not unproven:
             return found + (compared or [])

@@ -17,7 +17,7 @@ from operator import mul, not_
 
 import numpy as np
 
-from mr_damper_ros.data_check.samples import NEGATIVE_POWER
+from mr_damper_ros.data_check.samples import NEGATIVE_POWER, SMALLEST_FORCE, wrong_unit
 from mr_damper_ros.kinematics.peak_velocity import HALF_CYCLES
 from mr_damper_ros.models.quantities import NOTICED, SAME_CURRENT
 from mr_damper_ros.signals.arrays import SIGMAS, Array, RollingRows, span_of, white_noise
@@ -36,11 +36,12 @@ _SHORTEST = 0.2
 """Shortest time [s] over which the root mean square error is computed. A force must be constant for
 at least twice this time to count as a fault, because a short half-cycle is inaccurate."""
 
-_OUTLIER_EVERY = 20
-"""At either end, the span excludes one in this many samples, as possible outliers."""
+_TAIL = 0.025
+"""Part of the time, at either end, that the span of the force excludes: together, a 95 % quantile.
+A knock, a loose plug or an amplifier in saturation is shorter."""
 
-_FEWEST = 4
-"""Spans of at most this many samples exclude none."""
+_POINTS = 16
+"""Number of quantiles that represent the measured force of a stretch."""
 
 _STRETCHES = 32
 _LONGEST_STRETCH = 0.25
@@ -59,9 +60,9 @@ of half the span. A larger offset comes from a load cell that was not zeroed, an
 class ForceStatistics:
     """Running force statistics over some cycles of samples ``period`` [s] apart.
 
-    ``peak`` and ``centre`` [N] are the largest magnitude of the measured force and the middle of
-    its span, without outliers; NaN before the first stretch. If the motion is not steady, they
-    cover the longer of ten seconds and a cycle. Forces at other currents count for at most ten
+    ``peak`` and ``centre`` [N] are the 95 % quantile of the magnitude of the measured force and the
+    middle of its span; NaN before the first stretch. If the motion is not steady, they cover the
+    longer of ten seconds and a cycle. Forces at other currents count for at most ten
     seconds, and only until the present current has lasted for a cycle. In a cycle of more than ten
     seconds at a steady current, they count up to the largest force of the set at this current.
     ``noise`` [N] is the standard deviation of the white part of the measured force. ``stuck`` says
@@ -71,14 +72,14 @@ class ForceStatistics:
 
     def __init__(self, period: float) -> None:
         self._period = period
-        # Predicted and measured force, velocity and current of the present stretch.
-        self._parts: list[tuple[Array, Array, Array, Array]] = []
+        # Predicted, measured and bounded force, velocity and current of the present stretch.
+        self._parts: list[tuple[Array, ...]] = []
         self._count = 0
         self._stretch = max(round(_SHORTEST_MEMORY / _STRETCHES / period), 1)
-        # A column for each stretch: number of samples; highest, lowest and noise of the measured
-        # force f; lowest and highest current; whether the stretch before had the same current; the
-        # sums of the velocity v, of f, v², v f and f²; those of the predicted force p, v p and p².
-        self._past = RollingRows(15)
+        # A column for each stretch: number of samples; noise of the measured force f; lowest and
+        # highest current; whether the stretch before had the same current; quantiles of f; the sums
+        # of the velocity v, of f, v², v f and f²; those of the predicted force p, v p and p².
+        self._past = RollingRows(5 + _POINTS + 8)
         self._unchanged = 0
         self.peak = math.nan
         self.centre = math.nan
@@ -96,14 +97,20 @@ class ForceStatistics:
         *,
         steady: bool,
         largest: Callable[[], float],
+        bound: float = math.inf,
     ) -> None:
         """Add samples (n,) of predicted and measured force [N], velocity [m/s] and current [A].
 
         ``half_cycle`` [s] of the motion is NaN if unknown. ``steady`` says whether the motion is a
         continuing sine. ``largest`` returns the largest force [N] that the set gives in a cycle at
-        the present current.
+        the present current. The measured force counts up to the ``bound`` [N] away from the
+        predicted force: what a set gives that has just been right bounds what is not the damper's.
         """
-        self._parts.append((*forces, velocity, current))
+        predicted, measured = forces
+        bounded = measured
+        if bound < math.inf:
+            bounded = np.clip(measured, predicted - bound, predicted + bound)
+        self._parts.append((predicted, measured, bounded, velocity, current))
         self._count += velocity.size
         if self._count >= self._stretch:
             self._finish(half_cycle, steady, largest)
@@ -115,29 +122,29 @@ class ForceStatistics:
         self._past.newest[-3:] = 0.0
 
     def _finish(self, half_cycle: float, steady: bool, largest: Callable[[], float]) -> None:
-        predicted, measured, velocity, current = np.concatenate(self._parts, axis=1)
+        predicted, measured, bounded, velocity, current = np.concatenate(self._parts, axis=1)
         low, high = span_of(current)
         count, self._count = self._count, 0
         self._parts.clear()
         if not np.isfinite(predicted).all():
             predicted = np.zeros(count)
         noise, unchanged = white_noise(measured), np.ptp(measured) == 0.0
-        wild = max(count // _OUTLIER_EVERY, 1) if count > _FEWEST else 0
-        bottom, top = np.partition(measured, (wild, count - 1 - wild))[[wild, -1 - wild]].tolist()
-        measured = measured.clip(bottom, top)
+        points = np.sort(bounded)[((np.arange(_POINTS) + 0.5) * count / _POINTS).astype(int)]
         settled = True
         if self._past.count:
-            _, top_before, bottom_before, _, low_before, high_before, *_ = self._past.newest[:, -1]
-            unchanged = unchanged and top == top_before == bottom_before
+            _, _, low_before, high_before, _, *before = self._past.newest[:, -1]
+            unchanged = unchanged and points[0] == before[0] == before[_POINTS - 1]
             settled = max(high - low_before, high_before - low) <= SAME_CURRENT
         self._unchanged = self._unchanged + count if unchanged else 0
+        # Outliers have no power.
+        measured = measured.clip(points[0], points[-1])
         with np.errstate(over="ignore", invalid="ignore"):
             sums = (
                 *(velocity.sum(), measured.sum()),
                 *(velocity @ velocity, velocity @ measured, measured @ measured),
                 *(predicted.sum(), velocity @ predicted, predicted @ predicted),
             )
-        self._past.add((count, top, bottom, noise, low, high, settled, *sums), 1)
+        self._past.add((count, noise, low, high, settled, *points, *sums), 1)
         # While the half-cycle is unknown, the memory is as short as possible.
         known = 0.0 if math.isnan(half_cycle) else half_cycle
         memory = min(max(HALF_CYCLES * known, _SHORTEST_MEMORY), _LONGEST_MEMORY)
@@ -148,7 +155,7 @@ class ForceStatistics:
         ages = (newest_first[0].cumsum() - newest_first[0]) * self._period
         self._past.keep(int(np.count_nonzero(ages < max(memory, unsteady))))
         recent = newest_first[:, ages < memory]
-        self.noise = middle(recent[3])
+        self.noise = middle(recent[1])
         self._judge_span(
             newest_first[:, ages < (memory if steady else unsteady)], 2.0 * known, largest
         )
@@ -156,19 +163,20 @@ class ForceStatistics:
 
     def _judge_span(self, stretches: Array, cycle: float, largest: Callable[[], float]) -> None:
         """Compute peak and centre from stretches, newest first, with a ``cycle`` [s] of motion."""
-        counts, tops, bottoms, _, lows, highs, settled, *_ = stretches
+        counts, _, lows, highs, settled = stretches[:5]
         current = highs[0]
         here = (settled > 0.0) & (abs(lows - current) <= SAME_CURRENT)
         here &= abs(highs - current) <= SAME_CURRENT
         stayed = float(counts[np.logical_and.accumulate(here)].sum()) * self._period
         ages = (counts.cumsum() - counts) * self._period
         others = 0.0 if stayed >= max(cycle, _SHORTEST_MEMORY) else RECENT
-        counted = here | (ages < others)
-        top, bottom = float(tops[counted].max()), float(bottoms[counted].min())
-        if not here.all() and cycle > RECENT and stayed >= _STEADY_CURRENT:
-            most = largest()
-            top = max(min(top, most), float(tops[here].max()))
-            bottom = min(max(bottom, -most), float(bottoms[here].min()))
+        bottom, top = _span(stretches[:, here | (ages < others)])
+        if here.any():
+            lowest, highest = _span(stretches[:, here])
+            if not here.all() and cycle > RECENT and stayed >= _STEADY_CURRENT:
+                most = largest()
+                bottom, top = max(bottom, -most), min(top, most)
+            bottom, top = min(bottom, lowest), max(top, highest)
         half, self.centre = 0.5 * (top - bottom), 0.5 * (top + bottom)
         self.peak = half + min(abs(self.centre), _PRELOAD * half)
 
@@ -179,7 +187,7 @@ class ForceStatistics:
         if half_cycle == 0.0 or count * self._period < 0.25 * HALF_CYCLES * half_cycle:
             return
         with np.errstate(over="ignore", invalid="ignore"):
-            v, f, vv, vf, ff, p, vp, pp = stretches[7:].sum(axis=1).tolist()
+            v, f, vv, vf, ff, p, vp, pp = stretches[-8:].sum(axis=1).tolist()
             speed = math.sqrt(max(vv - v * v / count, 0.0))
 
             def drives(mean: float, power: float, squares: float) -> bool:
@@ -189,6 +197,15 @@ class ForceStatistics:
             if speed > 0.0:
                 self.measured_drives = drives(f, vf, ff)
                 self.predicted_drives = drives(p, vp, pp)
+
+
+def _span(stretches: Array) -> tuple[float, float]:
+    """Lowest and highest measured force [N] of stretches, without the tails."""
+    forces = stretches[5 : 5 + _POINTS].ravel()
+    order = np.argsort(forces)
+    time = np.tile(stretches[0], _POINTS)[order].cumsum()
+    bottom, top = np.searchsorted(time, (_TAIL * time[-1], (1.0 - _TAIL) * time[-1]))
+    return float(forces[order[bottom]]), float(forces[order[top]])
 
 
 _USED_PART = 0.98
@@ -318,6 +335,14 @@ class ResidualMonitor:
         return self._compared >= self._enough and not (self.is_wrong or self._wait)
 
     @property
+    def bound(self) -> float:
+        """Largest error [N] that counts as the damper's while the set is right."""
+        if self._limit == 0.0 or self.is_wrong or self._compared < self._enough:
+            return math.inf
+        peak = self.recent.peak
+        return _LARGEST_ENTRY * self._limit * peak if peak > 0.0 else math.inf
+
+    @property
     def allowed(self) -> float:
         """Largest error [N] of a valid sample; infinite if no force is measured."""
         peak = self.recent.peak
@@ -359,6 +384,9 @@ class ResidualMonitor:
             found.append(_MEASURED_DRIVES)
         if peak == 0.0:
             return found
+        if peak < SMALLEST_FORCE:
+            finding = wrong_unit("force", "reaches only", peak, "kilonewtons")
+            found.append(Objection(DoubtKind.SENSOR, finding.sentence))
         errors: list[float] = (predicted - measured).tolist()
         wrong, wild = self._wrong_samples(errors, measured.tolist())
         self._follow([*compress(errors, map(not_, wild))])

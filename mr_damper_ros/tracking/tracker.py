@@ -44,6 +44,7 @@ from mr_damper_ros.models.quantities import GOOD_NRMSE, NOTICED, SAME_CURRENT
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.worker import Control
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
+from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import (
     CHUNKS,
@@ -71,6 +72,7 @@ from mr_damper_ros.tracking.force_scale import (
     widened,
     with_temperature,
 )
+from mr_damper_ros.tracking.force_step import Compared, ForceStep, find_step, is_back
 from mr_damper_ros.tracking.operating_point import (
     SAME_SPEED,
     KnownForce,
@@ -154,7 +156,8 @@ class TrackerMemory(Experience):
       the current did not explain;
     - ``unexplained_patience``: number of such windows until the next search;
     - ``rival``: a set that the next window must confirm;
-    - ``seen_ns``: stamp of the last sample of the newest window or change check.
+    - ``seen_ns``: stamp of the last sample of the newest window or change check;
+    - ``step``: a step of the load cell that has neither gone again nor been acknowledged.
     """
 
     windows: int = 0
@@ -171,6 +174,7 @@ class TrackerMemory(Experience):
     unexplained_patience: int = ENOUGH_TO_COMPARE
     rival: ParameterSet | None = None
     seen_ns: int = 0
+    step: ForceStep | None = None
 
     def forget_changes(self) -> None:
         """Discard the state of the change detection, which belongs to another set."""
@@ -285,10 +289,15 @@ def run(job: Job, control: Control | None = None) -> Outcome:
     try:
         if job.raw is None:
             outcome = _search(job, control)
-        elif job.raw.look:
-            outcome = _check_change(job, _screened(job))
         else:
-            outcome = _fit(job, _screened(job), control.should_stop if control else None)
+            window = _screened(job)
+            predicted = job.running.window_force(window)
+            if (stepped := _step_of_load_cell(job, window, predicted)) is not None:
+                outcome = stepped
+            elif job.raw.look:
+                outcome = _check_change(job, window, predicted)
+            else:
+                outcome = _fit(job, window, control.should_stop if control else None)
     except DataError as error:
         outcome = refused(job, Judgement(Verdict.FAULT_OF_DATA, str(error)))
     except TooLittleMotionError as error:
@@ -594,13 +603,56 @@ def _evidence(job: Job, window: Window, fit: WindowFit, validation: np.ndarray) 
     )
 
 
+# -- a step of the load cell -----------------------------------------------------------------
+
+
+def _step_of_load_cell(job: Job, window: Window, predicted: Array) -> Outcome | None:
+    """The outcome of a window that shows a step of the load cell; None for a window of the damper.
+
+    ``predicted`` (n,) [N] is the force of the running set in the window. While the step lasts,
+    nothing is learnt.
+    """
+    raw, running, memory = job.samples, job.running, _begun(job)
+    if job.settings.acceptance.accept_force_steps or not running.observable.any():
+        return None
+    period_ns = raw.period * NANOSECONDS
+    begin = max(math.ceil((memory.changed_ns - raw.start_ns) / period_ns), 0)
+    begin += int(np.argmax(running.settled(window)[begin:])) if begin < predicted.size else 0
+    if memory.step is not None:
+        begin = max(begin, window.sample_count - max(raw.look, window.sample_count // 4))
+    given = Compared(predicted[begin:], window.force[begin:], window.current[begin:], window.period)
+    if memory.step is None:
+        if (found := find_step(given)) is None:
+            return None
+        if found.factor is None or found.offset is None:
+            sentence = (
+                "the measured force jumped within one sample: waiting for more samples to tell a "
+                "change of the load cell"
+            )
+            judgement = Judgement(Verdict.UNCONFIRMED, sentence)
+            return Outcome(memory, None if raw.look else _report(job, running, judgement))
+        stamp_ns = raw.start_ns + round((begin + found.place) * period_ns)
+        memory.step, memory.rival = ForceStep(stamp_ns, found.factor, found.offset), None
+    elif is_back(memory.step, given):
+        memory.step, memory.changed_ns = None, raw.start_ns + round(begin * period_ns)
+        judgement = Judgement(
+            Verdict.NO_BETTER, "the load cell shows the force of the running set again"
+        )
+        return Outcome(memory, _report(job, running, judgement))
+    elif raw.look:
+        return Outcome(memory)
+    judgement = Judgement(Verdict.INSTRUMENT, memory.step.sentence)
+    return Outcome(memory, _report(job, running, judgement))
+
+
 # -- a change check --------------------------------------------------------------------------
 
 
-def _check_change(job: Job, window: Window) -> Outcome:
+def _check_change(job: Job, window: Window, predicted: Array) -> Outcome:
     """Check whether the newest samples fit the running set; otherwise fit the force scale.
 
-    Without a change, only the state of the change detection changes.
+    ``predicted`` (n,) [N] is the force of the running set in the window. Without a change, only the
+    state of the change detection changes.
     """
     raw, memory, model, running = job.samples, _begun(job), job.running.law, job.running
     watch, unchanged = memory.watch, Outcome(memory)
@@ -612,7 +664,6 @@ def _check_change(job: Job, window: Window) -> Outcome:
         # Both sums start again.
         memory.watch = replace(watch, rising=0.0, falling=0.0, rising_samples=0, falling_samples=0)
         return unchanged
-    predicted = running.window_force(window)
     memory.watch = watch = watch.follow(predicted[newest], window.force[newest])
     count = min(watch.samples_since_change, window.sample_count)
     if count < CHUNKS:
@@ -856,6 +907,17 @@ class WindowTracker:
         # have been replaced.
         self.parameters = self._initial
         self.memory = TrackerMemory(windows=self.memory.windows, other_damper=True)
+
+    def acknowledge(self) -> str:
+        """Accept a step of the load cell, and learn from the samples after it.
+
+        Returns what was accepted; empty if there was no step.
+        """
+        step = self.memory.step
+        if step is None:
+            return ""
+        self.memory = replace(self.memory, step=None, changed_ns=self.memory.seen_ns)
+        return f"accepted, and learning from now on: {step.sentence}"
 
     def replace(self, parameters: ParameterSet) -> None:
         """Use this set, loaded by the user, from now on; records and baselines are deleted.

@@ -58,6 +58,8 @@ class DoubtKind(IntEnum):
     """The identifier has rejected the newest windows."""
     FROZEN = 13
     """The displacement has stopped within a sample."""
+    INSTRUMENT = 14
+    """The measured force changed by a factor or an offset within one sample."""
 
     @property
     def grave(self) -> bool:
@@ -361,6 +363,11 @@ _DISTRUST = {
 }
 """Verdicts that count as rejections of a window, in words."""
 
+_SAYS_NOTHING = (
+    *(Verdict.UNKNOWN, Verdict.FAULT_OF_DATA, Verdict.FAILED, Verdict.TOO_LITTLE_MOTION),
+)
+"""Verdicts after which a change of the load cell is as before."""
+
 _IN_A_ROW = 2
 """This many windows rejected in a row make the force invalid; a short fault spoils only one window.
 """
@@ -375,6 +382,8 @@ class RefusedWindows:
     def __init__(self) -> None:
         self._refused = 0
         self._cause = ""
+        self.of_instrument = ""
+        """How the load cell has changed, by the identifier; empty if it has not."""
 
     @property
     def sentence(self) -> str:
@@ -386,8 +395,15 @@ class RefusedWindows:
             "reports on damper/fit_report"
         )
 
-    def follow(self, verdict: int, nrmse_before: float, *, confirms: bool) -> None:
-        """Process a report: its verdict, and the NRMSE of the set in use (NaN if unknown)."""
+    def follow(
+        self, verdict: int, nrmse_before: float, *, confirms: bool, reason: str = ""
+    ) -> None:
+        """Process a report: its verdict and reason, and the NRMSE of the set in use.
+
+        The NRMSE is NaN if it is unknown.
+        """
+        if verdict not in _SAYS_NOTHING:
+            self.of_instrument = reason if verdict == Verdict.INSTRUMENT else ""
         if confirms or nrmse_before < GOOD_NRMSE:
             self.forget()
         elif verdict in _DISTRUST:

@@ -138,7 +138,7 @@ def test_some_wild_samples_are_no_peak() -> None:
 @pytest.mark.parametrize(
     ("since", "largest", "peak"),
     [
-        (9.0, math.inf, LARGE),
+        (2.0, math.inf, LARGE),
         (11.0, math.inf, SMALL),
         # In slow motion it counts up to the largest force of the set at the present current.
         (2.0, 2.0 * SMALL, 2.0 * SMALL),
