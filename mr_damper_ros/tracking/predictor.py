@@ -27,7 +27,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet, check_set
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.settings.option_table import option
 from mr_damper_ros.signals.arrays import Array, Mask
-from mr_damper_ros.signals.blocks import KEEP_CURRENT, SampleBlock, ZeroOrderHold
+from mr_damper_ros.signals.blocks import KEEP_CURRENT, NANOSECONDS, SampleBlock, ZeroOrderHold
 from mr_damper_ros.signals.uniform_grid import GridSettings, Placed, UniformGrid
 from mr_damper_ros.tracking.bumpless_transfer import ForceInUse
 from mr_damper_ros.tracking.candidate_sets import CandidateSets
@@ -173,6 +173,8 @@ class ForcePredictor:
         margin, measured = settings.velocity_margin, settings.maximum_error > 0.0
         self._bank = ModelBank(margin, gradual=settings.gradual_reversal, measured=measured)
         self._current = ZeroOrderHold(keep=KEEP_CURRENT)
+        # Lag [ns] of the force behind the current, from the identifier.
+        self._lag_ns = 0
         self.sequence = UniformGrid(grid)
         """The uniform grid, which tracks gaps and repeats of the blocks."""
         self.freshness = Freshness(settings.max_age)
@@ -255,6 +257,7 @@ class ForcePredictor:
     def follow_report(self, report: Report) -> None:
         """Process the identifier's report on a window."""
         self._refused.follow(report.verdict, report.nrmse_before, confirms=report.confirms)
+        self._lag_ns = round(report.current_lag * NANOSECONDS)
         if report.confirms:
             currents = self._current.span(report.window_start_ns, report.stamp_ns)
             if self._bank.confirm(report.set_id, report.stamp_ns, currents):
@@ -424,7 +427,8 @@ class ForcePredictor:
         motion = self._motion.follow(block.displacement)
         if missing := lack_of_input(self.parameters, self._current, block.start_ns):
             return _Part.unknown(motion.velocity, DoubtKind.MISSING, missing)
-        current = self._current.at(block.start_ns, block.period, block.sample_count)
+        began_ns = block.start_ns - self._lag_ns
+        current = self._current.at(began_ns, block.period, block.sample_count)
         self._bank.follow_current(float(current[-1]), block.end_ns)
         parameters = self.parameters
         assert parameters is not None

@@ -19,6 +19,7 @@ import numpy as np
 
 from mr_damper_ros.data_check.samples import Samples, check_window
 from mr_damper_ros.estimation.covariance import ENOUGH_TO_COMPARE, SAME_MOTION
+from mr_damper_ros.estimation.current_lag import CurrentLag, with_lag
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.estimation.observability import operating_points_within, varied_parameters
@@ -154,7 +155,8 @@ class TrackerMemory(Experience):
       the current did not explain;
     - ``unexplained_patience``: number of such windows until the next search;
     - ``rival``: a set that the next window must confirm;
-    - ``seen_ns``: stamp of the last sample of the newest window or change check.
+    - ``seen_ns``: stamp of the last sample of the newest window or change check;
+    - ``current_lag``: lag of the force behind the supply current.
     """
 
     windows: int = 0
@@ -171,6 +173,7 @@ class TrackerMemory(Experience):
     unexplained_patience: int = ENOUGH_TO_COMPARE
     rival: ParameterSet | None = None
     seen_ns: int = 0
+    current_lag: CurrentLag = field(default_factory=CurrentLag)
 
     def forget_changes(self) -> None:
         """Discard the state of the change detection, which belongs to another set."""
@@ -252,6 +255,12 @@ class Job:
         return fresh if fresh >= 0 else raw.force.size
 
     @property
+    def current_lag(self) -> float:
+        """Lag [s] of the current in the samples: a law with a coil contains that of the coil."""
+        lag = self.memory.current_lag.significant
+        return min(lag, 0.0) if self.running.law.has_coil else lag
+
+    @property
     def elsewhere(self) -> tuple[Window, ...]:
         """The newest windows at the recent operating points, which alone come with the job."""
         return self.memory.points.windows
@@ -285,10 +294,16 @@ def run(job: Job, control: Control | None = None) -> Outcome:
     try:
         if job.raw is None:
             outcome = _search(job, control)
-        elif job.raw.look:
-            outcome = _check_change(job, _screened(job))
         else:
-            outcome = _fit(job, _screened(job), control.should_stop if control else None)
+            window = _screened(job)
+            if not job.raw.look:
+                lag = job.memory.current_lag.after(window)
+                job = replace(job, memory=replace(job.memory, current_lag=lag))
+            window = with_lag(window, job.current_lag)
+            if job.raw.look:
+                outcome = _check_change(job, window)
+            else:
+                outcome = _fit(job, window, control.should_stop if control else None)
     except DataError as error:
         outcome = refused(job, Judgement(Verdict.FAULT_OF_DATA, str(error)))
     except TooLittleMotionError as error:
@@ -378,6 +393,8 @@ def _report(
         }
     return Report(
         verdict=verdict,
+        current_lag=job.current_lag,
+        current_lag_error=job.memory.current_lag.estimate[1],
         reason=judgement.sentence,
         set_id=used.set_id,
         # The windows of a search are old, so a fit to them does not confirm the set for new
