@@ -446,7 +446,8 @@ class ForcePredictor:
         given = self._bank.uses_given
         of_set = of_set + self._zero.follow(block.sample_count, block.period, counts=given)
         found = self._objections_to_set(block, bridged, motion, current, of_set)
-        self._newest_kind = found[0].kind if found else DoubtKind.NONE
+        right = DoubtKind.WRONG if self._monitor.is_wrong else DoubtKind.NONE
+        self._newest_kind = found[0].kind if found else right
         self._follow_candidates(block, bridged, motion, current)
         force = self._force.blended(of_set)
         if self._force.fading:
