@@ -106,6 +106,30 @@ def _car_travel(seed: int) -> Excitation:
     return SampledMotion(_from_rest(states @ plant.displacement, 0.015, _GRID), _GRID)
 
 
+def skyhook_car(seed: int) -> tuple[Excitation, CurrentSchedule]:
+    """Suspension stroke of a quarter car on a road of class B, and the current of its skyhook.
+
+    The current is on while a damper between body and wheel brakes the body.
+    """
+    plant, unit = QuarterCar().plant, np.eye(4)
+    steps = []
+    for damping in (400.0, 3000.0):
+        dynamics = plant.dynamics + damping * np.outer(plant.by_force, plant.velocity)
+        half = 0.5 * _GRID * dynamics
+        inverse = np.linalg.inv(unit - half)
+        steps.append((inverse @ (unit + half), _GRID * inverse @ plant.by_input))
+    grid = _GRID * np.arange(round(DURATION / _GRID) + 1, dtype=np.float64)
+    states, on = np.zeros((grid.size, 4)), np.zeros(grid.size, dtype=bool)
+    for place, road in enumerate(IsoRoad("B", 15.0, seed).at(grid)[1:].tolist(), start=1):
+        before = states[place - 1]
+        on[place] = before[1] * (before @ plant.velocity) > 0.0
+        dynamics, forcing = steps[int(on[place])]
+        states[place] = dynamics @ before + forcing * road
+    changed = np.concatenate([[True], np.diff(on)])
+    current = scheduled(grid[changed], np.where(on[changed], HIGHEST_CURRENT, 0.0))
+    return SampledMotion(_from_rest(states @ plant.displacement, 0.015, _GRID), _GRID), current
+
+
 def _shaken(seed: int) -> Array:
     """Ground acceleration of an earthquake, for a peak of 1, at intervals of :data:`_GRID`.
 

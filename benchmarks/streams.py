@@ -55,7 +55,8 @@ class TrialSettings:
     """Settings of a trial; the ``engine`` has the defaults of the nodes.
 
     ``sample_rate`` is in Hz. ``force_noise`` [N] and ``displacement_noise`` [m] are standard
-    deviations.
+    deviations. The supply is read every ``supply_period`` [s], and at once after a change of
+    ``supply_step`` [A]; by default as in the bridge.
     """
 
     seed: int = 0
@@ -63,6 +64,8 @@ class TrialSettings:
     force_noise: float = THESIS_FORCE_NOISE
     displacement_noise: float = 1e-6
     sample_rate: float = 1000.0
+    supply_period: float = 0.1
+    supply_step: float = 0.005
     engine: EngineSettings = field(default_factory=EngineSettings)
 
 
@@ -270,8 +273,7 @@ class StreamTrial:
         # With one generator per channel, the noise is independent of the block size.
         self._noise = [np.random.default_rng((given.seed, channel)) for channel in range(2)]
         self._instruments = Instruments(faults)
-        # A reading every 0.1 s, and at once after a change of 5 mA, as in the bridge.
-        self._supply = Meter(0.1, step=0.005)
+        self._supply = Meter(given.supply_period, step=given.supply_step)
         self._engine = Engine(given.engine)
         self.now = 0.0
         """Duration of the stream so far [s]."""

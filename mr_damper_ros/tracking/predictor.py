@@ -27,7 +27,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet, check_set
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.settings.option_table import option
 from mr_damper_ros.signals.arrays import Array, Mask
-from mr_damper_ros.signals.blocks import KEEP_CURRENT, SampleBlock, ZeroOrderHold
+from mr_damper_ros.signals.blocks import KEEP_CURRENT, NANOSECONDS, SampleBlock, ZeroOrderHold
 from mr_damper_ros.signals.uniform_grid import GridSettings, Placed, UniformGrid
 from mr_damper_ros.tracking.bumpless_transfer import ForceInUse
 from mr_damper_ros.tracking.candidate_sets import CandidateSets
@@ -173,6 +173,8 @@ class ForcePredictor:
         margin, measured = settings.velocity_margin, settings.maximum_error > 0.0
         self._bank = ModelBank(margin, gradual=settings.gradual_reversal, measured=measured)
         self._current = ZeroOrderHold(keep=KEEP_CURRENT)
+        # Lag [ns] of the force behind the current, from the identifier.
+        self._lag_ns = 0
         self.sequence = UniformGrid(grid)
         """The uniform grid, which tracks gaps and repeats of the blocks."""
         self.freshness = Freshness(settings.max_age)
@@ -256,6 +258,7 @@ class ForcePredictor:
         """Process the identifier's report on a window."""
         verdict, reason = report.verdict, report.reason
         self._refused.follow(verdict, report.nrmse_before, confirms=report.confirms, reason=reason)
+        self._lag_ns = round(report.current_lag * NANOSECONDS)
         if report.confirms:
             currents = self._current.span(report.window_start_ns, report.stamp_ns)
             if self._bank.confirm(report.set_id, report.stamp_ns, currents):
@@ -427,7 +430,8 @@ class ForcePredictor:
         motion = self._motion.follow(block.displacement)
         if missing := lack_of_input(self.parameters, self._current, block.start_ns):
             return _Part.unknown(motion.velocity, DoubtKind.MISSING, missing)
-        current = self._current.at(block.start_ns, block.period, block.sample_count)
+        began_ns = block.start_ns - self._lag_ns
+        current = self._current.at(began_ns, block.period, block.sample_count)
         self._bank.follow_current(float(current[-1]), block.end_ns)
         parameters = self.parameters
         assert parameters is not None
@@ -445,7 +449,8 @@ class ForcePredictor:
         given = self._bank.uses_given
         of_set = of_set + self._zero.follow(block.sample_count, block.period, counts=given)
         found = self._objections_to_set(block, bridged, motion, current, of_set)
-        self._newest_kind = found[0].kind if found else DoubtKind.NONE
+        right = DoubtKind.WRONG if self._monitor.is_wrong else DoubtKind.NONE
+        self._newest_kind = found[0].kind if found else right
         self._follow_candidates(block, bridged, motion, current)
         force = self._force.blended(of_set)
         if self._force.fading:

@@ -20,7 +20,9 @@ class Report:
     ``stamp_ns`` fit this set. ``nrmse_before`` is the error in the window of the set used so far.
     ``reason`` explains the ``verdict`` in words. ``temperature`` [°C] is the measured temperature.
     If it is not measured, ``fluid`` is the temperature estimated from the force, once the operating
-    point has a temperature map. ``coefficient_errors`` are the standard errors from window to
+    point has a temperature map. ``current_lag`` [s] is the time by which the force follows the
+    stamped current, 0 if it is not significant; it is negative for a current that is stamped or
+    read too late. ``coefficient_errors`` are the standard errors from window to
     window; ``coefficient_discrepancies`` are the model errors.
     """
 
@@ -47,6 +49,8 @@ class Report:
     coefficient_discrepancies: Array = field(default_factory=lambda: np.empty(0))
     global_due: bool = False
     fluid: FluidTemperature = field(default_factory=FluidTemperature)
+    current_lag: float = 0.0
+    current_lag_error: float = math.nan
 
     @property
     def accepted(self) -> bool:

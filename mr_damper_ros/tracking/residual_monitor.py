@@ -3,8 +3,8 @@
 :class:`ForceStatistics` holds the peak, the noise and the power of the measured force over the
 recent cycles. :class:`ResidualMonitor` decides when the predicted force is wrong. It monitors two
 errors, both relative to the peak. The error of a sample makes that sample invalid at once. The root
-mean square error over a half-cycle shows that the parameters are wrong; while it is too large, all
-samples are invalid.
+mean square error over a half-cycle shows that the parameters are wrong in part of the cycle, as
+where the current is late; while it is too large, noise cannot excuse the error of a sample.
 """
 
 from __future__ import annotations
@@ -397,20 +397,15 @@ class ResidualMonitor:
                 f"{peak:.3g} N: check the load cell's cable for a loose contact or interference"
             )
             found.append(Objection(DoubtKind.SENSOR, sentence, outliers))
-        if self.is_wrong:
-            sentence = (
-                f"the RMS error of the predicted force was {math.sqrt(self._square):.0%} of the "
-                f"peak over the last half-cycle: valid again below {_RECOVERED * self._limit:.0%}"
-            )
-            wrong = [True] * len(wrong)
-        elif any(wrong):
-            worst = max(map(abs, compress(errors, wrong)))
-            sentence = (
-                f"the error of the predicted force is {worst:.3g} N at a measured peak of "
-                f"{peak:.3g} N: maximum_error is {self._limit:.0%}"
-            )
-        else:
+        if not any(wrong):
             return found
+        worst = max(map(abs, compress(errors, wrong)))
+        sentence = (
+            f"the error of the predicted force is {worst:.3g} N at a measured peak of "
+            f"{peak:.3g} N: maximum_error is {self._limit:.0%}"
+        )
+        if self.is_wrong:
+            sentence += f", and its RMS error {math.sqrt(self._square):.0%} over a half-cycle"
         where = np.array(wrong)
         if recent.predicted_drives:
             # A force that agrees with the measured force is as dissipative as the measured one.
@@ -433,7 +428,8 @@ class ResidualMonitor:
         """
         before, self._error = self._error, errors[-1]
         wrong, wild = [False] * len(errors), [False] * len(errors)
-        if self._wait == 0.0 and max(map(abs, errors)) <= self.allowed:
+        right_up_to = self._right_up_to(self._limit * self.recent.peak)
+        if self._wait == 0.0 and max(map(abs, errors)) <= right_up_to:
             self._wild_for = 0
             return wrong, wild
         peak, centre = self.recent.peak, self.recent.centre
@@ -441,7 +437,7 @@ class ResidualMonitor:
             # If the force grows beyond the recent peak, the limit grows with it.
             largest = max(abs(force - centre), peak)
             size, jumps = abs(error), abs(error - before) > peak
-            before, begins = error, size > self._allowed(self._limit * largest)
+            before, begins = error, size > self._right_up_to(self._limit * largest)
             if begins and (jumps or 0 < self._wild_for < self._longest_wild):
                 self._wild_for += 1
                 wild[k] = True
@@ -477,6 +473,16 @@ class ResidualMonitor:
             _USED_PART * limit - SIGMAS * self._noise,
             _NOISY_PART * limit + _NOISY_SIGMAS * self._noise,
         )
+
+    def _right_up_to(self, limit: float) -> float:
+        """Limit [N] of the error of a right sample.
+
+        While the root mean square error is too large, the set is wrong in part of the cycle: noise
+        may then hide nothing, but a sample with a small error is right.
+        """
+        if self.is_wrong:
+            return _USED_PART * _RECOVERED * limit - SIGMAS * self._noise
+        return self._allowed(limit)
 
     @property
     def _noise(self) -> float:

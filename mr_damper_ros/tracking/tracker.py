@@ -19,6 +19,7 @@ import numpy as np
 
 from mr_damper_ros.data_check.samples import Samples, check_window
 from mr_damper_ros.estimation.covariance import ENOUGH_TO_COMPARE, SAME_MOTION
+from mr_damper_ros.estimation.current_lag import CurrentLag, with_lag
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.estimation.observability import operating_points_within, varied_parameters
@@ -157,7 +158,8 @@ class TrackerMemory(Experience):
     - ``unexplained_patience``: number of such windows until the next search;
     - ``rival``: a set that the next window must confirm;
     - ``seen_ns``: stamp of the last sample of the newest window or change check;
-    - ``step``: a step of the load cell that has neither gone again nor been acknowledged.
+    - ``step``: a step of the load cell that has neither gone again nor been acknowledged;
+    - ``current_lag``: lag of the force behind the supply current.
     """
 
     windows: int = 0
@@ -175,6 +177,7 @@ class TrackerMemory(Experience):
     rival: ParameterSet | None = None
     seen_ns: int = 0
     step: ForceStep | None = None
+    current_lag: CurrentLag = field(default_factory=CurrentLag)
 
     def forget_changes(self) -> None:
         """Discard the state of the change detection, which belongs to another set."""
@@ -256,6 +259,12 @@ class Job:
         return fresh if fresh >= 0 else raw.force.size
 
     @property
+    def current_lag(self) -> float:
+        """Lag [s] of the current in the samples: a law with a coil contains that of the coil."""
+        lag = self.memory.current_lag.significant
+        return min(lag, 0.0) if self.running.law.has_coil else lag
+
+    @property
     def elsewhere(self) -> tuple[Window, ...]:
         """The newest windows at the recent operating points, which alone come with the job."""
         return self.memory.points.windows
@@ -291,6 +300,10 @@ def run(job: Job, control: Control | None = None) -> Outcome:
             outcome = _search(job, control)
         else:
             window = _screened(job)
+            if not job.raw.look:
+                lag = job.memory.current_lag.after(window)
+                job = replace(job, memory=replace(job.memory, current_lag=lag))
+            window = with_lag(window, job.current_lag)
             predicted = job.running.window_force(window)
             if (stepped := _step_of_load_cell(job, window, predicted)) is not None:
                 outcome = stepped
@@ -387,6 +400,8 @@ def _report(
         }
     return Report(
         verdict=verdict,
+        current_lag=job.current_lag,
+        current_lag_error=job.memory.current_lag.estimate[1],
         reason=judgement.sentence,
         set_id=used.set_id,
         # The windows of a search are old, so a fit to them does not confirm the set for new
