@@ -1,4 +1,4 @@
-"""Short variants of ``make soak``: kills, starts, Ctrl-C, some minutes of data at 20x speed."""
+"""Short variants of ``make soak``: kills, starts, Ctrl-C, some seconds of data at 20x speed."""
 
 import pytest
 
@@ -31,11 +31,9 @@ def test_a_node_ends_cleanly_whenever_it_is_interrupted() -> None:
     assert [one for one in pressed if one.fault] == []
 
 
-def test_a_stream_at_speed_leaves_no_errors_and_no_leak() -> None:
+def test_a_stream_at_speed_leaves_no_errors() -> None:
+    # A leak would need minutes to exceed the messages that may wait for a node: make soak.
     hours_per_second = load.RATE / 3600.0
-    growth, errors = load.soak(80.0 * hours_per_second, 20.0 * hours_per_second)
+    growth, errors = load.soak(20.0 * hours_per_second, 10.0 * hours_per_second)
     assert errors == []
     assert sorted(growth) == ["bridge", "identifier", "model", "worker"]
-    # Allowed memory growth [MB] of a node in the last minute. A leak of the blocks would add 17.
-    # However busy the computer is, at most 5000 messages of 1.8 kB wait for a node: 9 MB.
-    assert max(growth.values()) < 12.0, growth
