@@ -27,6 +27,7 @@ from mr_damper_ros.io.columns import UNITS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import pooled
+from mr_damper_ros.signals.recording import Recording
 from studies.recordings import window_of
 
 WRONG_RATIO, WRONG_MORE = 1.5, 0.02
@@ -50,6 +51,12 @@ LEFT_OUT = {
         "the record is that of a damper with less hysteresis"
     ),
     "a force that is late in a sine": "the loop is that of a damper with more hysteresis",
+    "a force that is late in random motion, where the law explains the record as well": (
+        "the set that is found is a damper with these signals; computed for each case"
+    ),
+    "currents of records whose forces differ by less than a factor of 1.35": (
+        "the difference is that of a damper heated to 70 degrees; computed for each case"
+    ),
     "a slow drift of the load cell": "a damper that heats up looks the same",
     "a law that explains 70 % or more of the force": "its misfit is a note by definition",
 }
@@ -434,6 +441,36 @@ def _coarse(sound: SoundRecord, size: Any, rng: np.random.Generator) -> Spoilt:
     return _one(sound, _with(made, channel, step * np.round(values / step)))
 
 
+# -- what data cannot show -------------------------------------------------------------------------
+
+_AS_WELL = 1.2
+"""The NRMSE of a law on a corrupted record, relative to that on the sound one, with which another
+damper explains the record as well."""
+
+_HEATING = 1.35
+"""Ratio of the forces at 28 and 70 degrees Celsius."""
+
+Hidden = Callable[[Spoilt, ParameterSet | None, float], bool]
+"""Whether the data of a case show no corruption: from the unchecked result, and the NRMSE of the
+sound fit."""
+
+
+def _another_damper(spoilt: Spoilt, found: ParameterSet | None, sound: float) -> bool:
+    """Whether the damper of the set that is found gives the signals as well."""
+    return _error(found, _runs_of(spoilt.given.raw)) <= _AS_WELL * sound
+
+
+def _heated(spoilt: Spoilt, found: ParameterSet | None, sound: float) -> bool:
+    """Whether the forces differ from those at the stated currents by less than heating explains."""
+
+    def size(recording: Recording) -> float:
+        return float(np.std(recording.force))
+
+    true = {plan.current: size(sound_record(plan).recording()) for plan in spoilt.sound}
+    ratios = (size(each) / true[float(each.current[0])] for each in spoilt.given.raw)
+    return all(1.0 / _HEATING <= ratio <= _HEATING for ratio in ratios)
+
+
 # -- cases -----------------------------------------------------------------------------------------
 
 
@@ -442,7 +479,8 @@ class Kind:
     """A kind of corruption.
 
     ``right``: names of the findings that name the cause; ``sizes``: sizes of the corruption, one a
-    case; ``motions``: motions of the records; ``changing``: whether the current changes.
+    case; ``motions``: motions of the records; ``changing``: whether the current changes;
+    ``hidden``: which cases are left out.
     """
 
     name: str
@@ -451,6 +489,7 @@ class Kind:
     sizes: tuple[Any, ...]
     motions: tuple[str, ...] = _MOTIONS
     changing: bool = False
+    hidden: Hidden | None = None
 
 
 def _kind(name: str, make: Maker, right: str, sizes: Sequence[Any], *more: Any) -> Kind:
@@ -541,6 +580,8 @@ KINDS: tuple[Kind, ...] = (
         "skew",
         [1e-3 * ms for ms in (2, 5, 10, 20, 30)],
         _RANDOM,
+        False,
+        _another_damper,
     ),
     _kind(
         "current late",
@@ -642,6 +683,9 @@ KINDS: tuple[Kind, ...] = (
             ((0.1, 0.6, 1.3), (0.1, 0.1, 0.1)),
             ((0.3, 0.4, 1.2), (0.4, 0.3, 1.2)),
         ],
+        _MOTIONS,
+        False,
+        _heated,
     ),
     _kind(
         "stuck",
@@ -765,14 +809,20 @@ _SILENT, _UNNAMED = "SILENT", "UNNAMED"
 _RIGHT, _WRONGLY = "right", "WRONG NAME"
 _REPAIRED = "repaired"
 _FINE, _NEEDLESS = "fine", "NEEDLESS"
+_HIDDEN = "hidden"
 
 
 @lru_cache(maxsize=64)
 def _sound_fit(plans: tuple[Plan, ...], law: str) -> tuple[tuple[MeasuredRun, ...], float]:
     """The sound records, and the NRMSE of a set identified from them."""
     records = [sound_record(plan).recording() for plan in plans]
-    runs = tuple(MeasuredRun("run", (record,), (window_of(record),)) for record in records)
+    runs = _runs_of(records)
     return runs, _error(unchecked(records, law), runs)
+
+
+def _runs_of(records: Sequence[Recording]) -> tuple[MeasuredRun, ...]:
+    """The recordings as runs that no check has seen."""
+    return tuple(MeasuredRun("run", (record,), (window_of(record),)) for record in records)
 
 
 def _error(found: ParameterSet | None, runs: Sequence[MeasuredRun]) -> float:
@@ -786,12 +836,19 @@ def judge(case: Case) -> Judged:
     """Corrupt, identify and compare."""
     kind = KINDS[case.kind]
     rng = np.random.default_rng((case.plan.seed, case.kind, case.seed))
-    given, plans, law = kind.make(sound_record(case.plan), case.size, rng)
+    spoilt = kind.make(sound_record(case.plan), case.size, rng)
+    given, plans, law = spoilt
     runs, sound = _sound_fit(plans, law)
     told = answer(given)
-    received = _error(None if told.result is None else told.result.parameter_set, runs)
+    found = None if told.result is None else told.result.parameter_set
+    received = _error(found, runs)
     same = told.result is not None and not told.findings
-    plain = received if same else _error(unchecked(given.raw, given.model), runs)
+    raw = found if same and kind.hidden is None else unchecked(given.raw, given.model)
+    plain = _error(raw, runs)
+    verdict = _verdict(kind, told, sound, plain, received)
+    harmless = verdict in (_FINE, _NEEDLESS)
+    if kind.hidden is not None and not harmless and kind.hidden(spoilt, raw, sound):
+        verdict = _HIDDEN
     return Judged(
         kind.name,
         _shown(case.size),
@@ -800,7 +857,7 @@ def judge(case: Case) -> Judged:
         plain,
         math.nan if told.result is None else received,
         "; ".join(f"{each.name} ({each.severity})" for each in told.findings),
-        _verdict(kind, told, sound, plain, received),
+        verdict,
     )
 
 
@@ -853,7 +910,7 @@ def judge_all(every: int = 1, seed: int = 0, kinds: Sequence[str] = ("",)) -> li
 
 def figures(every: int = 1, seed: int = 0) -> Measured:
     """The figures of the corrupted records."""
-    found = judge_all(every, seed)
+    found = [one for one in judge_all(every, seed) if one.verdict != _HIDDEN]
     wrong = [one for one in found if one.verdict not in (_FINE, _NEEDLESS)]
     others = len(found) - len(wrong)
 

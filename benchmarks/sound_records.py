@@ -192,15 +192,27 @@ class SoundRecord:
 
     @cached_property
     def lag(self) -> float:
-        """Lag [s] of the true force behind the direction of the motion, by their correlation."""
+        """Lag [s] of the true force behind the motion.
+
+        With it, the direction and the velocity explain the most of the force, beside a spring, a
+        mass and a preload.
+        """
         step = float(self._fine[1] - self._fine[0])
-        direction = np.sign(self.motion.at(self._fine).velocity)
-        force = self._force - np.mean(self._force)
+        u, v, a = self.motion.at(self._fine)
         low, high = (round(edge / step) for edge in _LAGS)
-        inner = slice(high, self._fine.size - high)
+        inner = np.arange(high, self._fine.size - high, 3)
         shifts = np.arange(low, high + 1)
-        products = [direction[inner] @ np.roll(force, -shift)[inner] for shift in shifts.tolist()]
-        return step * float(shifts[int(np.argmax(products))])
+        moving = np.stack((np.sign(v), v), axis=1)
+        fixed = np.stack((u, a, np.ones(u.size)), axis=1)[inner]
+        left = []
+        for shift in shifts.tolist():
+            columns = np.hstack((moving[inner - shift], fixed))
+            columns /= np.linalg.norm(columns, axis=0)
+            factors = np.linalg.lstsq(columns, self._force[inner], rcond=None)[0]
+            rest = float(np.linalg.norm(self._force[inner] - columns @ factors))
+            # Half a cycle later, the damper would drive the motion.
+            left.append(rest if factors[0] + factors[1] > 0.0 else np.inf)
+        return step * float(shifts[int(np.argmin(left))])
 
     @property
     def period(self) -> float:

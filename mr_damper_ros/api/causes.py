@@ -14,6 +14,7 @@ from mr_damper_ros.api.comparison import Comparison
 from mr_damper_ros.api.measured_runs import MeasuredRun, all_windows
 from mr_damper_ros.data_check.channels import extent
 from mr_damper_ros.data_check.findings import NOTE, WARN, Finding, Kind
+from mr_damper_ros.data_check.lag import are_several
 from mr_damper_ros.data_check.samples import skew_finding
 from mr_damper_ros.estimation.local_search import LocalSearch
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
@@ -23,6 +24,7 @@ from mr_damper_ros.models.misfit import ChosenParameters, Misfit
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import SIGMAS, Array
+from mr_damper_ros.signals.blocks import MOST_SAMPLES
 
 LARGEST_NRMSE = 0.3
 """Largest acceptable NRMSE of a run; above it, the set explains too little of the force."""
@@ -74,32 +76,6 @@ def causes(
             each = Kind.UNEXPLAINED.found(value=run.nrmse, nrmse=run.nrmse, limit=LARGEST_NRMSE)
             findings.append(replace(each, source=run.comparison.name))
     return findings
-
-
-def with_clipping_judged(
-    findings: Iterable[Finding], found: ParameterSet, runs: Sequence[Explained]
-) -> list[Finding]:
-    """Findings on runs, in which a clipped force is a note if the set predicts little beyond it."""
-    clipped = [run for run in runs if run.measured.clipped]
-    little = {
-        run.measured.name
-        for run in clipped
-        if run.nrmse <= LARGEST_NRMSE and not matters(_cut_off(found, run), run.nrmse)
-    }
-    return [
-        replace(each, severity=NOTE)
-        if each.kind is Kind.CLIPPED and each.channel == "force" and each.source in little
-        else each
-        for each in findings
-    ]
-
-
-def _cut_off(found: ParameterSet, run: Explained) -> float:
-    """RMS of what is cut off from the force that a set predicts, relative to its deviation."""
-    clipped = run.measured.clipped
-    squares = [float(np.sum((found.window_force(w) - w.force) ** 2)) for w in clipped]
-    force = np.concatenate([w.force for w in (*run.measured.windows, *clipped)])
-    return math.sqrt(sum(squares) / force.size) / float(np.std(force))
 
 
 # -- fits of changed windows -----------------------------------------------------------------
@@ -185,19 +161,12 @@ def _longest(windows: Sequence[Window]) -> list[Window]:
 _SHIFTS = (2e-3, 5e-3, 10e-3, 20e-3, 40e-3, 60e-3)
 """Shifts [s] of the force that are tried in both directions, and then halfway around the best."""
 
-_EARLY, _LATE = 0.8, 0.75
-"""Part of the NRMSE that a shift of an early or a late force leaves at most, where it is named. A
-damper with a lag seems to be late; those of ``silent_wrong`` leave 0.77 or more without a shift."""
+_SHIFTED = 0.75
+"""Part of the NRMSE that a shift leaves at most, where it is named. A damper with a lag seems to be
+late; those of ``silent_wrong`` leave 0.77 or more without a shift."""
 
 _HOPELESS = 1.3
 """Ratio of the NRMSE to the best so far at which larger shifts are not tried."""
-
-_SEVERAL, _FEWEST_STROKES = 1.3, 8
-"""Ratio of the 90 % to the 10 % quantile of the durations of strokes above which they determine a
-shift, and their smallest number."""
-
-_STROKE_SAMPLES = 5000
-"""Approximate number of samples of a motion in which strokes are looked for."""
 
 _MOST_WINDOWS = 6
 """Largest number of windows whose force or current is shifted."""
@@ -225,15 +194,12 @@ def _telling(windows: Sequence[Window]) -> list[Window]:
     """
     chosen = _longest(windows)
     durations = [duration for window in chosen for duration in _strokes(window)]
-    if len(durations) < _FEWEST_STROKES:
-        return []
-    short, long = np.quantile(durations, (0.1, 0.9)).tolist()
-    return chosen if long > _SEVERAL * short else []
+    return chosen if are_several(np.array(durations)) else []
 
 
 def _strokes(window: Window) -> list[float]:
     """Durations [s] of the strokes of a motion."""
-    position = averages(window.motion.displacement, _STROKE_SAMPLES)
+    position = averages(window.motion.displacement, MOST_SAMPLES)
     places = turning_points(position.tolist(), TURN * float(np.ptp(position)))[1:-1]
     duration = window.sample_count * window.period / position.size
     return (np.diff(places) * duration).tolist()
@@ -266,8 +232,7 @@ def _late_force(found: ParameterSet, windows: Sequence[Window]) -> list[Finding]
     best = trials[late]
     # The fits at other times may have found a better minimum.
     again = _refitted(found, windows, best.values, anew=True)
-    most = (_LATE if late > 0.0 else _EARLY) * min(here.nrmse, again.nrmse)
-    if best.nrmse > min(most, 0.5 * LARGEST_NRMSE):
+    if best.nrmse > min(_SHIFTED * min(here.nrmse, again.nrmse), LARGEST_NRMSE):
         return []
     doubt = 0.5 * float(np.mean([abs(each - late) for each in _neighbours(late, trials)]))
     serious = matters(_change(found, best.values, windows), best.nrmse)
@@ -489,9 +454,6 @@ def _zero_of(found: ParameterSet, window: Window) -> float:
 _MUCH_BETTER = 0.6
 """Another law is named if its NRMSE is at most this part of that of the law."""
 
-_LAW_SAMPLES = 1500
-"""Approximate number of samples to which another law is fitted."""
-
 
 def _other_law(model: str, window: Window, nrmse: float) -> list[Finding]:
     """A finding on a law that fits a window much better, with the unknowns of the window."""
@@ -512,7 +474,7 @@ def _window_fit(model: str, window: Window) -> WindowFit | None:
     law = MODELS[model]
     start = law.initial_values()[0]
     try:
-        return fit_window(law, window.thinned(_LAW_SAMPLES), start, method="least_squares")
+        return fit_window(law, window.thinned(_SAMPLES), start, method="least_squares")
     except (ValueError, ArithmeticError):
         return None
 

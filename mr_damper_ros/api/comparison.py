@@ -79,7 +79,9 @@ def compare(found: ParameterSet, run: MeasuredRun) -> Comparison:
         gradual = found.turns_gradually(window)
         force = found.window_force(window, gradual=gradual)
         force = np.where(found.settled(window, gradual=gradual), force, np.nan)
-        columns.append((window.time + start, motion.displacement, motion.velocity, window.force, force))
+        columns.append(
+            (window.time + start, motion.displacement, motion.velocity, window.force, force)
+        )
     # A single window is not copied.
     joined: Iterable[Array] = (
         columns[0] if len(columns) == 1 else map(np.concatenate, zip(*columns, strict=True))

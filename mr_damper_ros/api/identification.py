@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mr_damper_ros.api import details
-from mr_damper_ros.api.causes import Explained, causes, with_clipping_judged
+from mr_damper_ros.api.causes import Explained, causes
 from mr_damper_ros.api.comparison import (
     RUN_COLUMNS,
     ComparedRun,
@@ -485,8 +485,7 @@ def identify_measured(
         Explained(run.comparison, run.measured, (run.level or run.error).nrmse) for run in fitted
     ]
     of_fit = causes(best, shown, levelled=bool(level_per_record))
-    of_data = with_clipping_judged(findings_on(measured), best, shown)
-    found = (*of_data, *slopes, *of_fit)
+    found = (*findings_on(measured), *slopes, *of_fit)
     return Identification(
         parameter_set=replace(best, nrmse=pooled(run.error for run in fitted).nrmse),
         runs=fitted,

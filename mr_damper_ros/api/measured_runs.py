@@ -38,16 +38,14 @@ _RECORD_ENDINGS = frozenset(
 class MeasuredRun:
     """One run of a damper, checked and ready for identification.
 
-    ``recordings``: one per section without gaps, as they are used; ``windows``: their motion and
-    force; ``findings``: what the check of the data found; ``clipped``: the samples whose force is
-    clipped, which the windows leave out.
+    ``recordings``: one per section, as they are used; ``windows``: their motion and force, without
+    samples in gaps and clipped forces; ``findings``: what the check of the data found.
     """
 
     name: str
     recordings: tuple[Recording, ...]
     windows: tuple[Window, ...]
     findings: tuple[Finding, ...] = ()
-    clipped: tuple[Window, ...] = ()
 
     @property
     def whole(self) -> bool:
@@ -110,21 +108,18 @@ def _checked(
 
 def _with_windows(run: MeasuredRun, clipped: Sequence[Mask | None] = ()) -> MeasuredRun:
     """The run with its windows; raises DataError for one that cannot be fitted."""
-    used, beyond = [], []
+    windows = []
     for section, mask in zip_longest(run.recordings, clipped):
         samples = section.displacement, section.force, section.current, section.period
         try:
             window = Window.from_samples(*samples).resolved()
         except DataError as error:
             raise DataError(f"{run.name}: {error}") from error
-        left_out = np.zeros(section.sample_count, dtype=bool)
+        used = np.ones(section.sample_count, dtype=bool) if mask is None else ~mask
         for gap in section.gaps:
-            left_out[gap] = True
-        if mask is not None and mask.any():
-            beyond.append(window.part(mask & ~left_out))
-            left_out |= mask
-        used.append(window.part(~left_out) if left_out.any() else window)
-    return replace(run, windows=tuple(used), clipped=tuple(beyond))
+            used[gap] = False
+        windows.append(window if used.all() else window.part(used))
+    return replace(run, windows=tuple(windows))
 
 
 def _is_short(findings: Iterable[Finding]) -> bool:
@@ -211,10 +206,7 @@ def without_inertia(runs: Sequence[MeasuredRun], mass: float) -> tuple[MeasuredR
     def less(window: Window) -> Window:
         return replace(window, force=window.force - mass * window.motion.acceleration)
 
-    return tuple(
-        replace(run, windows=tuple(map(less, run.windows)), clipped=tuple(map(less, run.clipped)))
-        for run in runs
-    )
+    return tuple(replace(run, windows=tuple(map(less, run.windows))) for run in runs)
 
 
 def all_windows(runs: Sequence[MeasuredRun]) -> list[Window]:

@@ -181,7 +181,9 @@ def spikes(values: Array, samples_per_cycle: float, shape: Shape) -> Mask:
             """How far a sample of an excursion lies beyond both the samples around it."""
             before, after = values[starts], values[starts + width + 1]
             inside = values[starts + place + 1]
-            return np.maximum(inside - np.maximum(before, after), np.minimum(before, after) - inside)
+            return np.maximum(
+                inside - np.maximum(before, after), np.minimum(before, after) - inside
+            )
 
         half = width // 2 + 1
         middle = drawn[(drawn >= half) & (drawn < values.size - half)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from mr_damper_ros.kinematics.motion import SavitzkyGolay
 from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array
 
 _FEWEST = 8
-"""Smallest number of reversals for the regression."""
+"""Smallest number of reversals that determine a shift."""
 
 _SMOOTHED = 40.0
 """The half-width of the smoothing is the median cycle divided by this."""
@@ -24,7 +23,7 @@ _CROSSING_PART = 0.25
 """Fraction of a cycle around a reversal in which the force must cross zero."""
 
 _CYCLE_RATIO = 1.3
-"""Smallest ratio of the longest to the shortest cycle for the regression."""
+"""Smallest ratio of the longest to the shortest cycle, without a tenth at either end."""
 
 _FAR = 4.0
 
@@ -32,8 +31,15 @@ _LAW_ERROR = 4e-4
 """Additional standard error [s], because hysteresis is not exactly a fraction of the cycle. It is
 the error of the skew for emulated dampers without skew."""
 
-_PARTS = 20
-"""Largest number of parts of a record whose scatter gives the error of the lead."""
+_PARTS, _DRAWN = 10, 5000
+"""Number of parts of a record whose scatter gives the error of the lead, and of its samples."""
+
+_HEAVIEST = 50.0
+"""Largest mass [kg] between load cell and damper."""
+
+_LARGEST_LEAD, _SLOW = 0.2, 0.02
+"""Largest lead or lag that is tried, in cycles, and the part of the 90 % quantile of the speed at
+which the direction of the motion changes."""
 
 _PAST_CYCLES, _EQUAL_CYCLES = 4, 0.05
 """Number of past cycles that affect the hysteresis, and their largest relative difference."""
@@ -43,17 +49,6 @@ _USUAL = 0.75
 """Quantile of speed and distance that gives the frequency of a motion."""
 
 _UNKNOWN = (math.nan, math.inf)
-
-
-class Lead(NamedTuple):
-    """How much earlier than the motion the force reverses [s], and its standard ``error`` [s].
-
-    ``mass`` [kg] is the mass whose inertia would give such a lead.
-    """
-
-    seconds: float
-    error: float
-    mass: float
 
 
 def _coarse(displacement: Array, period: float) -> tuple[Array, Array]:
@@ -96,47 +91,75 @@ def smooth_velocity(displacement: Array, period: float) -> Array:
     return smooth.derivative(displacement, 1, period)
 
 
-def force_lead(displacement: Array, force: Array, period: float) -> Lead:
-    """How much earlier than the motion the force reverses, which no hysteresis explains.
+def force_lead(displacement: Array, force: Array, period: float) -> tuple[float, float]:
+    """How much earlier than the motion (n,) the force (n,) reverses [s], and its standard error.
 
-    The phase of the force against the velocity follows from its power with velocity and
-    acceleration. A force that lags, and a stiffness, make the power with the acceleration negative;
-    inertia and a force recorded early make it positive. The error follows from the scatter of parts
-    of the record. A lead that cannot be estimated is NaN, with an infinite error.
+    The force is explained by the direction of the motion, its velocity, a preload, a spring and a
+    mass that is not too large. The lead is the shift of direction and velocity with which the least
+    is left; every hysteresis makes it negative. The error follows from the scatter of parts of the
+    record. A lead that cannot be estimated is NaN, with an infinite error.
     """
-    smooth = _smoother(displacement, period)
-    if smooth is None:
-        return Lead(*_UNKNOWN, math.inf)
-    edge = smooth.length
-    velocity = smooth.derivative(displacement, 1, period)[edge:-edge]
-    acceleration = smooth.derivative(displacement, 2, period)[edge:-edge]
-    centred = force[edge:-edge] - extent(force)[0]
-    turns, direction = _reversals(velocity, _SMALL * float(np.quantile(np.abs(velocity), 0.9)))
-    cycles = turns[direction > 0.0].astype(int)
-    # Parts of whole cycles, because a part of a cycle has a power of its own.
-    parts = min(cycles.size - 1, _PARTS)
-    if parts < 2:
-        return Lead(*_UNKNOWN, math.inf)
-    edges = cycles[np.linspace(0, cycles.size - 1, parts + 1).astype(int)]
-    # One product after the other, because those of a long record need much memory.
-    pairs = (
-        (centred, velocity),
-        (centred, acceleration),
-        (velocity, velocity),
-        (acceleration, acceleration),
-    )
-    inside = slice(int(edges[0]), int(edges[-1]))
-    sums = np.stack([np.add.reduceat((x * y)[inside], edges[:-1] - edges[0]) for x, y in pairs])
+    smooth, frequency = _smoother(displacement, period), motion_frequency(displacement, period)
+    if smooth is None or not frequency:
+        return _UNKNOWN
+    reach = max(round(_LARGEST_LEAD / (frequency * period)), 2)
+    places = np.arange(max(reach, smooth.length), force.size - max(reach, smooth.length))
+    if places.size * frequency * period < 2.0:
+        return _UNKNOWN
+    if places.size > _DRAWN:
+        places = np.sort(np.random.default_rng(0).choice(places, _DRAWN, replace=False))
+    velocity = smooth.derivative(displacement, 1, period)
+    velocity /= float(np.quantile(np.abs(velocity), 0.9))
+    direction = np.tanh(velocity / _SLOW)
+    mass = _HEAVIEST * smooth.derivative(displacement, 2, period)[places]
+    # At the frequency of the motion, a spring is a negative mass.
+    spring = -_HEAVIEST * (2.0 * math.pi * frequency) ** 2 * displacement[places]
+    fixed = np.ones(places.size), spring, mass, force[places]
 
-    def lead(power: Array, early: Array, speed: Array, change: Array) -> Array:
-        rate = np.sqrt(change / speed)
-        return np.asarray(np.arctan2(early / rate, power) / rate)
+    def left(lead: int) -> Array:
+        """Squares that are left of the whole record, and of it without each part."""
+        rows = np.stack((direction[places + lead], velocity[places + lead], *fixed))
+        sums = np.stack([part @ part.T for part in np.array_split(rows, _PARTS, axis=1)])
+        whole, found = sums.sum(axis=0), []
+        for each in (whole, *(whole - sums)):
+            rest, factors = _rest(each)
+            if factors[3] + factors[4] > 1.0:
+                rest, _ = _rest(_WITH_HEAVIEST @ each @ _WITH_HEAVIEST.T)
+            found.append(rest)
+        return np.array(found)
 
-    whole = sums.sum(axis=1)
-    # Jackknife: the estimate without each part in turn.
-    without = lead(*(whole[:, np.newaxis] - sums))
-    error = math.sqrt((parts - 1) * float(np.var(without)))
-    return Lead(float(lead(*whole)), error, float(whole[1] / whole[3]))
+    sizes = {round(reach * 0.75**k) for k in range(16)}
+    leads = np.array(sorted(sizes | {-size for size in sizes} | {0}))
+    best = int(np.argmin([left(lead)[0] for lead in leads.tolist()]))
+    if best in (0, leads.size - 1):
+        return _UNKNOWN
+    leads = np.unique(np.linspace(leads[best - 1], leads[best + 1], 9).astype(int))
+    rests = np.stack([left(lead) for lead in leads.tolist()])
+
+    def least(rest: Array) -> float:
+        """The lead at the minimum of a parabola through the smallest of the rests (m,)."""
+        near = int(np.clip(np.argmin(rest), 1, leads.size - 2)) + np.array([-1, 0, 1])
+        bend, slope, _ = np.polyfit(leads[near], rest[near], 2)
+        inside = bend > 0.0 and leads[near[0]] <= -0.5 * slope / bend <= leads[near[2]]
+        return float(-0.5 * slope / bend if inside else leads[near[1]]) * period
+
+    without = [least(rest) for rest in rests.T[1:]]
+    return least(rests[:, 0]), math.sqrt((_PARTS - 1) * float(np.var(without)))
+
+
+_WITH_HEAVIEST = np.array(
+    [[1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0], [0, 0, 0, 0, -1, 1]], dtype=float
+)
+"""Direction, velocity, preload and force without the inertia of the largest mass."""
+
+
+def _rest(products: Array) -> tuple[float, Array]:
+    """Squares that are left of the last of some rows by the others (m,), and their factors.
+
+    ``products`` (m + 1, m + 1) are the scalar products of the rows.
+    """
+    factors = np.linalg.lstsq(products[:-1, :-1], products[:-1, -1], rcond=None)[0]
+    return float(products[-1, -1] - products[-1, :-1] @ factors), np.asarray(factors)
 
 
 def channel_skew(displacement: Array, force: Array, period: float) -> tuple[float, float]:
@@ -167,7 +190,7 @@ def channel_skew(displacement: Array, force: Array, period: float) -> tuple[floa
     # An offset of the force shifts alternate reversals in opposite directions.
     pairs = np.stack([lags, cycles], axis=1)[: lags.size // 2 * 2].reshape(-1, 2, 2).mean(axis=1)
     lags, cycles = period * pairs[np.isfinite(pairs[:, 0]) & _steady(pairs[:, 1])].T
-    return _intercept(lags, cycles) if lags.size >= _FEWEST else _UNKNOWN
+    return _intercept(lags, cycles)
 
 
 def _reversals(values: Array, least: float) -> tuple[Array, Array]:
@@ -194,9 +217,15 @@ def _steady(cycles: Array) -> np.ndarray:
     return steady
 
 
+def are_several(cycles: Array) -> bool:
+    """Whether cycles (n,) of several lengths are enough to tell a shift from a hysteresis."""
+    enough = cycles.size >= _FEWEST
+    return bool(enough and np.quantile(cycles, 0.9) > _CYCLE_RATIO * np.quantile(cycles, 0.1))
+
+
 def _intercept(lags: Array, cycles: Array) -> tuple[float, float]:
     """Lag (n,) at a cycle of length 0 [s], and its standard error; errors grow with length (n,)."""
-    if np.quantile(cycles, 0.9) < _CYCLE_RATIO * np.quantile(cycles, 0.1):
+    if not are_several(cycles):
         return _UNKNOWN
     rates, parts = 1.0 / cycles, lags / cycles
     kept = np.ones(parts.size, dtype=bool)

@@ -90,24 +90,26 @@ relative to the root mean square of the channel."""
 _ANSWER = 0.2
 """The force of a damper answers a real motion with at least this part of its mean damping."""
 
-_SKEW, _SURE, _DETERMINED = 3e-4, 3.0, 5e-4
-"""Smallest skew [s] that is reported, its smallest ratio to the standard error, and the largest
-standard error [s] of a known skew."""
+_SKEW, _DETERMINED = 3e-4, 5e-4
+"""Smallest skew [s] that is reported, and the largest standard error [s] of a known skew."""
 
-_EARLY, _HEAVIEST = 1e-3, 50.0
-"""Smallest lead [s] of the force that is reported, and the largest mass [kg] between load cell and
-damper whose inertia may be its cause."""
+_EARLY = 1e-3
+"""Smallest lead [s] of the force that is reported."""
 
 _LITTLE = 0.04
 """Height cut off by clipping that does not matter, relative to half the range."""
+
+_MOST_CLIPPED = 0.3
+"""Largest part of the samples that may be clipped at one limit. Of flat loops of which a third was
+clipped at one side, fits of the rest were wrong by 20 %."""
 
 _RENEWALS = {"displacement": 12, "force": 60}
 """Smallest number of renewals in a cycle with which a channel that is held can be bridged; a force
 has corners."""
 
-_MOST_STUCK, _LONG = 0.25, 0.15
-"""Largest part of the samples that may be left out because a channel is stuck, and the shortest
-such stretch in cycles; a coarse displacement rests for less at its dead centres."""
+_LONG = 0.15
+"""Shortest stretch in cycles in which a channel is stuck; a coarse displacement rests for less at
+its dead centres."""
 
 _REPEATING = 0.02
 """Part of the samples of a channel with noise that repeats the sample before, at most."""
@@ -185,7 +187,8 @@ def check_samples(given: Samples, gaps: Sequence[slice] = (), *, mend: bool = Tr
     if inverted and _exchanged(given.displacement, given.force):
         return Checked(given, (Kind.SWAPPED.found(),))
     refused = [each for each in units if each.severity is REFUSE]
-    if stuck is not None and not (mend and stuck.share <= _MOST_STUCK):
+    most = (1.0 - _LEAST_USED) * given.force.size if mend else 0.0
+    if stuck is not None and stuck.stretch.stop - stuck.stretch.start > most:
         refused.append(stuck.finding)
     if refused:
         return Checked(given, tuple(refused))
@@ -268,18 +271,17 @@ def wrong_unit(channel: str, reaches: str, size: float, other: str, unit: str = 
 
 
 class _Stuck(NamedTuple):
-    """The finding on a channel that gets stuck, the stretch, and its share of the samples."""
+    """The finding on a channel that gets stuck, and the stretch."""
 
     finding: Finding
     stretch: slice
-    share: float
 
 
 def _stuck(samples: Samples) -> _Stuck | None:
     """A constant force, or a channel that is constant while the other one reverses."""
     displacement, force = samples.displacement, samples.force
     if np.ptp(force) == 0.0:
-        return _Stuck(Kind.STUCK.found("force", how="does not change"), slice(None), 1.0)
+        return _Stuck(Kind.STUCK.found("force", how="does not change"), slice(0, force.size))
     cycle = _cycle(samples)
     for name, values, other in (
         ("force", force, displacement),
@@ -302,7 +304,7 @@ def _stuck(samples: Samples) -> _Stuck | None:
         if moves or way_back > least:
             what = "motion goes on" if name == "force" else "force reverses"
             found = Kind.STUCK.found(name, how=f"is constant although the {what}")
-            return _Stuck(found, slice(start, stop), (stop - start) / values.size)
+            return _Stuck(found, slice(start, stop))
     return None
 
 
@@ -465,11 +467,11 @@ def _left_out(force: Array, found: list[Finding]) -> Mask | None:
     """The clipped forces (n,), if enough others remain for a fit; the finding then says so."""
     for place, each in enumerate(found):
         if each.kind is Kind.CLIPPED and each.channel == "force":
-            clipped = np.isin(force, [limit.extreme for limit in clipped_at(force)])
-            if (share := float(clipped.mean())) <= 1.0 - _LEAST_USED:
-                severity = NOTE if each.severity is NOTE else WARN
-                found[place] = each.mended(f"a fit leaves out {share:.1%} of the samples", severity)
-                return clipped
+            sides = [force == limit.extreme for limit in clipped_at(force)]
+            shares = [float(side.mean()) for side in sides]
+            if max(shares) <= _MOST_CLIPPED and sum(shares) <= 1.0 - _LEAST_USED:
+                found[place] = each.mended(f"a fit leaves out {sum(shares):.1%} of the samples")
+                return np.any(sides, axis=0)
     return None
 
 
@@ -564,14 +566,12 @@ def _quality(samples: Samples) -> Iterator[Finding]:
 
 def _lag_findings(samples: Samples, part: slice) -> Iterator[Finding]:
     displacement, force, period = samples.displacement[part], samples.force[part], samples.period
-    lead = force_lead(displacement, force, period)
-    if lead.seconds > max(_EARLY, SIGMAS * lead.error) and lead.mass > _HEAVIEST:
-        early, doubt = 1e3 * lead.seconds, 1e3 * lead.error
-        yield Kind.BACKWARD.found(
-            "force", value=lead.seconds, error=lead.error, early=early, doubt=doubt
-        )
+    lead, error = force_lead(displacement, force, period)
+    if lead > max(_EARLY, SIGMAS * error):
+        early = {"early": 1e3 * lead, "doubt": 1e3 * error}
+        yield Kind.BACKWARD.found("force", value=lead, error=error, **early)
     skew, error = channel_skew(displacement, force, period)
-    if error <= _DETERMINED and abs(skew) > max(_SKEW, _SURE * error):
+    if error <= _DETERMINED and abs(skew) > max(_SKEW, SIGMAS * error):
         yield skew_finding(skew, error)
 
 

@@ -192,7 +192,9 @@ class SampledRecord:
         rows = displacement, self.values["force"], given, self.values.get("temperature")
         details = self.details | ({"note": "; ".join(notes)} if notes else {})
         try:
-            recording = Recording(name or self.path.stem, start_ns, period, *rows, details, self.gaps)
+            recording = Recording(
+                name or self.path.stem, start_ns, period, *rows, details, self.gaps
+            )
         except NotFiniteError as error:
             value = self.values[error.quantity][error.sample]
             raise self._not_finite(error.quantity, error.sample, value) from error
