@@ -9,6 +9,7 @@ beside the jump; and from then on one factor, or one offset, makes the set as go
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -128,17 +129,18 @@ def _has_excuse(current: Array, place: int, period: float) -> bool:
 def _typical(values: Array, above: Mask | None = None) -> float:
     """Typical size of values (n,): their median, or that of the worse side of the motion."""
     size = np.abs(values)
-    if above is None:
-        return float(np.median(size))
-    sides = (size[side] for side in (above, ~above) if np.count_nonzero(side) > _BESIDE)
-    return max((float(np.median(side)) for side in sides), default=np.inf)
+    return float(np.median(size)) if above is None else max(_medians(size, above), default=np.inf)
+
+
+def _medians(values: Array, above: Mask) -> list[float]:
+    """The median of values (n,) on either side of the motion that has more than a few."""
+    sides = (above, ~above)
+    return [float(np.median(values[s])) for s in sides if np.count_nonzero(s) > _BESIDE]
 
 
 def _judged(given: Compared, place: int) -> Found | None:
     """The step at a jump, if one factor or one offset explains the samples from there on."""
     predicted, measured, _, period = given
-    # What a set from another run does not know of the zero.
-    predicted = predicted + np.median((measured - predicted)[:place])
     residual, above = measured - predicted, predicted > np.mean(predicted)
     nearby = max(min(residual.size - place, place // 2), _FEWEST)
     error = max(
@@ -151,7 +153,7 @@ def _judged(given: Compared, place: int) -> Found | None:
     if not (power > 0.0 and error < min(_GOOD * _typical(predicted), _EXPLAINS * without)):
         return None
     factor = float(p[sound] @ m[sound]) / power if period <= _RESOLVES else 1.0
-    offset = float(np.median(m - p))
+    offset = float(np.mean(_medians(m - p, above) or math.nan))
     jump = float(residual[place] - residual[place - 1])
     most = min(_AS_GOOD * error, _EXPLAINS * without)
     explained = [

@@ -417,7 +417,9 @@ class ForcePredictor:
         settings = self._settings
         self._motion = MotionFollower(period, settings.bandwidth, settings.centre_memory)
         self._force = ForceInUse(period)
-        self._monitor = ResidualMonitor(period, settings.maximum_error)
+        self._monitor = ResidualMonitor(
+            period, settings.maximum_error, largest_error=settings.largest_error
+        )
         self._zero.restart()
         self._unlearned = self._uncompared = None
         self._bank.forget_samples()

@@ -304,14 +304,19 @@ class ResidualMonitor:
     """Monitors the forces of samples ``period`` [s] apart, with the statistics ``recent``.
 
     ``maximum_error`` is relative to the peak of the measured force; 0 ignores the measured force.
-    Without ``recent`` the monitor has statistics of its own.
+    ``largest_error`` [N] limits the same errors; 0: it does not. Without ``recent`` the monitor has
+    statistics of its own.
     """
 
     def __init__(
-        self, period: float, maximum_error: float, recent: ForceStatistics | None = None
+        self,
+        period: float,
+        maximum_error: float,
+        recent: ForceStatistics | None = None,
+        largest_error: float = 0.0,
     ) -> None:
         self._period = period
-        self._limit = maximum_error
+        self._limit, self._largest = maximum_error, largest_error or math.inf
         self.recent = ForceStatistics(period) if recent is None else recent
         self._time = _SHORTEST
         # Mean square [1] of the error over the peak.
@@ -340,7 +345,7 @@ class ResidualMonitor:
         if self._limit == 0.0 or self.is_wrong or self._compared < self._enough:
             return math.inf
         peak = self.recent.peak
-        return _LARGEST_ENTRY * self._limit * peak if peak > 0.0 else math.inf
+        return _LARGEST_ENTRY * self._limit_at(peak) if peak > 0.0 else math.inf
 
     @property
     def allowed(self) -> float:
@@ -348,7 +353,11 @@ class ResidualMonitor:
         peak = self.recent.peak
         if self._limit == 0.0 or not peak > 0.0:
             return math.inf
-        return self._allowed(self._limit * peak)
+        return self._allowed(self._limit_at(peak))
+
+    def _limit_at(self, peak: float) -> float:
+        """Limit [N] of the errors at a peak [N] of the measured force, without noise."""
+        return min(self._limit * peak, self._largest)
 
     def forget_error(self, known: float = math.nan) -> None:
         """Reset the root mean square error after a change of parameters.
@@ -361,7 +370,7 @@ class ResidualMonitor:
             self._square = (known / self.recent.peak) ** 2
             self.is_wrong, self._wait = False, 0.0
         elif self.is_wrong:
-            self._square = (self._limit) ** 2
+            self._square = (self._limit_at(self.recent.peak) / self.recent.peak) ** 2
         self.recent.forget_predicted()
 
     def forget_moment(self) -> None:
@@ -388,6 +397,7 @@ class ResidualMonitor:
             finding = wrong_unit("force", "reaches only", peak, "kilonewtons")
             found.append(Objection(DoubtKind.SENSOR, finding.sentence))
         errors: list[float] = (predicted - measured).tolist()
+        limit = self._limit_at(peak)
         wrong, wild = self._wrong_samples(errors, measured.tolist())
         self._follow([*compress(errors, map(not_, wild))])
         if any(wild):
@@ -402,7 +412,7 @@ class ResidualMonitor:
         worst = max(map(abs, compress(errors, wrong)))
         sentence = (
             f"the error of the predicted force is {worst:.3g} N at a measured peak of "
-            f"{peak:.3g} N: maximum_error is {self._limit:.0%}"
+            f"{peak:.3g} N: maximum_error and largest_error allow {limit:.3g} N"
         )
         if self.is_wrong:
             sentence += f", and its RMS error {math.sqrt(self._square):.0%} over a half-cycle"
@@ -428,7 +438,7 @@ class ResidualMonitor:
         """
         before, self._error = self._error, errors[-1]
         wrong, wild = [False] * len(errors), [False] * len(errors)
-        right_up_to = self._right_up_to(self._limit * self.recent.peak)
+        right_up_to = self._right_up_to(self._limit_at(self.recent.peak))
         if self._wait == 0.0 and max(map(abs, errors)) <= right_up_to:
             self._wild_for = 0
             return wrong, wild
@@ -437,13 +447,13 @@ class ResidualMonitor:
             # If the force grows beyond the recent peak, the limit grows with it.
             largest = max(abs(force - centre), peak)
             size, jumps = abs(error), abs(error - before) > peak
-            before, begins = error, size > self._right_up_to(self._limit * largest)
+            before, begins = error, size > self._right_up_to(self._limit_at(largest))
             if begins and (jumps or 0 < self._wild_for < self._longest_wild):
                 self._wild_for += 1
                 wild[k] = True
                 continue
             self._wild_for = 0
-            stays = self._wait and size > self._allowed(_RECOVERED * self._limit * largest)
+            stays = self._wait and size > self._allowed(_RECOVERED * self._limit_at(largest))
             if begins or stays:
                 self._wait = min(self._wait + _WRONG_PART, self._calm)
                 wrong[k] = True
@@ -458,13 +468,14 @@ class ResidualMonitor:
         self._compared += count * self._period
         if count == 0:
             return
-        most = _LARGEST_ENTRY * self._limit * peak
+        limit = self._limit_at(peak)
+        most = _LARGEST_ENTRY * limit
         if max(map(abs, errors)) > most:
             errors = [min(max(error, -most), most) for error in errors]
         square = (sum(map(mul, errors, errors)) / count - self._noise**2) / peak**2
         part = min(count * self._period / self._time, 1.0)
         self._square += part * (square - self._square)
-        lasting = self._limit * (_RECOVERED if self.is_wrong else 1.0)
+        lasting = limit / peak * (_RECOVERED if self.is_wrong else 1.0)
         self.is_wrong = self._square > lasting**2
 
     def _allowed(self, limit: float) -> float:

@@ -158,6 +158,12 @@ class ValiditySettings(CheckedSettings):
         "measured force is ignored, for a rig without a load cell.",
         within=(0.0, 100.0),
     )
+    largest_error: float = option(
+        0.0,
+        "Largest error of a valid force [N], beside maximum_error: the smaller limit counts. Set "
+        "maximum_error to 100 to have this limit alone. 0: no such limit.",
+        within=(0.0, 1e9),
+    )
 
 
 def current_allowance(current_range: tuple[float, float], margin: float) -> float:

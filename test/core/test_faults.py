@@ -74,6 +74,14 @@ def same(one: list[RigBlock], other: list[RigBlock]) -> bool:
     )
 
 
+@pytest.mark.parametrize("name", ["force_loss", "friction", "spring", "coil_factor", "coil_offset"])
+def test_a_damper_changes_within_a_tenth_of_a_second(name: str) -> None:
+    fault, time = fault_of(f"{name}@0.5-0.8"), np.arange(120) / 100.0
+    share = fault.share(time)
+    assert share[[50, 55, 60, 80, 85, 90]] == pytest.approx([0.0, 0.5, 1.0, 1.0, 0.5, 0.0])
+    assert fault_of(name).share(time).tolist() == [1.0] * 120, "present from the start"
+
+
 @pytest.mark.parametrize("name", sorted(set(FAULTS) - OTHER_MOTION))
 def test_a_fault_leaves_what_comes_before_it_alone(name: str) -> None:
     early = sent(f"{name}@{BEGIN}-{END}")[:50]

@@ -7,14 +7,15 @@ import pytest
 
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.residual_monitor import ForceStatistics, ResidualMonitor
+from mr_damper_ros.tracking.validity import DoubtKind
 
 PERIOD = 1e-3
 PEAK = 1000.0
 
 
-def watch_of(noise: float) -> tuple[ResidualMonitor, Array]:
+def watch_of(noise: float, largest_error: float = 0.0) -> tuple[ResidualMonitor, Array]:
     """A monitor that has followed a sine force for some time, and the next samples."""
-    watch = ResidualMonitor(PERIOD, 0.2)
+    watch = ResidualMonitor(PERIOD, 0.2, largest_error=largest_error)
     angle = 2.0 * np.pi * PERIOD * np.arange(3000)
     force = PEAK * np.sin(angle) + noise * np.random.default_rng(0).standard_normal(angle.size)
     for part in np.split(force, 300):
@@ -32,6 +33,22 @@ def test_without_noise_the_limit_is_that_of_the_error_itself(error: float, valid
     assert any(watch.judge(force + off, force)) is not valid
     assert 0.19 * PEAK < watch.allowed < 0.21 * PEAK
     assert ResidualMonitor(PERIOD, 0.2).allowed == math.inf, "no force was measured"
+
+
+@pytest.mark.parametrize(
+    ("largest_error", "allowed"), [(0.0, 200.0), (50.0, 50.0), (1000.0, 200.0)]
+)
+def test_the_smaller_of_a_relative_and_an_absolute_limit_counts(
+    largest_error: float, allowed: float
+) -> None:
+    watch, force = watch_of(0.0, largest_error)
+    assert watch.allowed == pytest.approx(allowed, rel=0.03)
+    at_peak = np.full(force.size, 0.9 * allowed)
+    assert watch.judge(force + at_peak, force) == []
+    for _ in range(100):
+        found = watch.judge(force + 1.2 * allowed, force)
+    assert found is not None
+    assert [each.kind for each in found] == [DoubtKind.WRONG]
 
 
 def test_much_noise_alone_is_no_wrong_force() -> None:
@@ -125,6 +142,23 @@ def followed(
             forces, force[part], current[part], half_cycle, steady=True, largest=lambda: largest
         )
     return recent
+
+
+@pytest.mark.parametrize("bound", [math.inf, 0.3 * LARGE])
+@pytest.mark.parametrize("every", [3300, 700])
+def test_a_burst_is_no_peak(bound: float, every: int) -> None:
+    """The quantile leaves out rare bursts; a set that is right bounds frequent ones."""
+    force = LARGE * np.sin(np.pi * PERIOD / HALF_CYCLE * np.arange(8000))
+    shown = force + np.where(np.arange(8000) % every < 20, 5000.0, 0.0)
+    recent = ForceStatistics(PERIOD)
+    for part in np.split(np.arange(8000), 800):
+        along = (force[part], shown[part]), force[part], np.ones(part.size), HALF_CYCLE
+        recent.add(*along, steady=True, largest=lambda: LARGE, bound=bound)
+    often = every < 1000
+    if often and bound == math.inf:
+        assert recent.peak > 2.0 * LARGE
+    else:
+        assert recent.peak == pytest.approx(LARGE, rel=0.2 if often else 0.03)
 
 
 def test_some_wild_samples_are_no_peak() -> None:

@@ -89,6 +89,18 @@ def test_a_right_force_stays_valid(size: int) -> None:
     assert kinds(predicted(RUN.displacement[:4000], force, size=size), 3000) == {DoubtKind.NONE}
 
 
+@pytest.mark.parametrize(("factor", "valid"), [(1e-3, False), (1e-2, True)])
+def test_a_load_cell_in_kilonewtons_makes_no_force_valid(factor: float, valid: bool) -> None:
+    """A damper of less than 5 N is none; one of a table top is."""
+    values = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), factor, 1.0)
+    small = dataclasses.replace(SET, values=values)
+    predictions = predicted(force=factor * RUN.force, parameters=small)
+    assert (kinds(predictions, 3000) == {DoubtKind.NONE}) is valid
+    if not valid:
+        assert kinds(predictions, 3000) == {DoubtKind.SENSOR}
+        assert "kilonewtons" in predictions[-1].reason
+
+
 @pytest.mark.parametrize("factor", [1000.0, 10.0, 0.1, 0.001, -1.0])
 def test_a_force_far_from_the_measured_one_is_not_valid(factor: float) -> None:
     predictions = predicted(force=spoilt(RUN.force, factor * RUN.force[CHANGE:]))
@@ -363,6 +375,24 @@ def test_windows_refused_in_a_row_speak_against_the_force(
     reports: list[tuple[Verdict, float]], kind: DoubtKind
 ) -> None:
     assert verdicts(*reports) is kind
+
+
+def test_a_step_of_the_load_cell_makes_the_force_invalid_until_it_is_back() -> None:
+    """Also where the predicted force agrees with the measured one, as after a small tare."""
+    made = ForcePredictor(PredictorSettings())
+    made.set_parameters(SET)
+    results = []
+    verdicts = {300: Verdict.INSTRUMENT, 350: Verdict.TOO_LITTLE_MOTION, 400: Verdict.NO_BETTER}
+    for number, block in enumerate(known.blocks(RUN.displacement, RUN.force, (10,))):
+        made.add_current(block.start_ns, 1.0)
+        if (verdict := verdicts.get(number)) is not None:
+            report = known.report("any", known.T0, known.T0, verdict=verdict)
+            made.follow_report(dataclasses.replace(report, reason="a step"))
+        results.append(made.predict(block).doubt)
+    assert {(each.kind, each.sentence) for each in results[300:400]} == {
+        (DoubtKind.INSTRUMENT, "a step")
+    }
+    assert not any(results[250:300] + results[400:])
 
 
 def test_without_a_load_cell_a_refusal_is_believed_until_other_parameters_come() -> None:
