@@ -237,7 +237,8 @@ def figures(every: int = 1, seed: int = 0) -> Measured:
             + ", ".join(told)
             + ". By cause, mean: "
             + ", ".join(
-                f"{kind} {100.0 * share / len(outcomes):.1f}" for kind, share in causes.most_common()
+                f"{kind} {100.0 * share / len(outcomes):.1f}"
+                for kind, share in causes.most_common()
             ),
         ),
         "switched_wrong_valid_s": (
