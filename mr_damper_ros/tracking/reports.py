@@ -11,7 +11,6 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.force_scale import FluidTemperature, ForceScale
 
-
 _LATE_CURRENT = 0.01
 """Time [s] by which the force may precede its current without a warning."""
 
