@@ -10,7 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -177,8 +177,8 @@ def combinations(seed: int = 0) -> tuple[Combination, ...]:
 class Outcome:
     """Result of a combination; times in s, fractions of the time in motion after settling.
 
-    ``refused`` is the fraction of correct force that was refused among the correct force, and
-    ``refused_for`` gives its parts by DoubtKind; ``right`` is the fraction of correct force.
+    ``right`` is the fraction with correct force, ``refused`` that with correct force that was
+    refused, and ``refused_for`` gives its parts by DoubtKind.
     """
 
     combination: Combination
@@ -197,12 +197,14 @@ def judged(given: Combination, result: TrialResult) -> Outcome:
     refused = right & ~result.valid
     kinds = np.bincount(result.doubts[refused & (result.doubts >= 0)], minlength=1)
     wrong, count = result.wrong_valid(), max(int(np.count_nonzero(moving)), 1)
+    identified = len(result.sets) > 1
     return Outcome(
         given,
         wrong.total,
         wrong.longest,
         float(np.count_nonzero(right)) / count,
-        float(np.count_nonzero(refused)) / count,
+        # Nothing identified: all of it counts against it.
+        float(np.count_nonzero(refused)) / count if identified else 1.0,
         {
             DoubtKind(kind).name: float(kinds[kind]) / count
             for kind in np.argsort(-kinds)
@@ -237,7 +239,8 @@ def figures(every: int = 1, seed: int = 0) -> Measured:
             + ", ".join(told)
             + ". By cause, mean: "
             + ", ".join(
-                f"{kind} {100.0 * share / len(outcomes):.1f}" for kind, share in causes.most_common()
+                f"{kind} {100.0 * share / len(outcomes):.1f}"
+                for kind, share in causes.most_common()
             ),
         ),
         "switched_wrong_valid_s": (

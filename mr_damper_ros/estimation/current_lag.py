@@ -18,7 +18,10 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array
 
-_GRID = np.arange(-0.08, 0.0401, 0.002)
+LARGEST_LAG = 0.08
+"""Largest magnitude of a lag [s]."""
+
+_GRID = np.arange(-LARGEST_LAG, 0.0401, 0.002)
 """Lags [s] that are compared."""
 
 _USUAL = 0.03

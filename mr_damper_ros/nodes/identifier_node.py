@@ -337,11 +337,16 @@ class IdentifierNode(Node):
             "temperature from the force [°C]": (
                 f"{report.fluid.celsius:.1f} ± {report.fluid.standard_error:.1f}"
             ),
+            "lag of the force behind the current [s]": (
+                f"{report.current_lag:.3f} ± {report.current_lag_error:.2g}"
+            ),
             "accepted windows": tracker.accepted_windows,
             "operating points": len(tracker.points.windows),
         }
         if report.verdict is Verdict.ACCEPTED_EARLY:
             return Finding(WARN, f"{report.reason} as {report.set_id}", values)
+        if report.late_current:
+            return Finding(WARN, report.late_current, values)
         if report.accepted:
             return Finding(OK, f"accepted as {report.set_id}", values)
         waits = report.verdict is Verdict.TOO_LITTLE_MOTION and tracker.accepted_windows > 0

@@ -212,7 +212,7 @@ def parameter_set(message: DamperParameters) -> ParameterSet:
 
 _OF_A_REPORT = (
     *("method", "evaluations", "nrmse_before", "nrmse_after", "confirms", "peak_velocity"),
-    *("amplitude", "frequency", "current", "temperature"),
+    *("amplitude", "frequency", "current", "temperature", "current_lag", "current_lag_error"),
 )
 """Names of the fields that the message and the report share."""
 

@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mr_damper_ros.estimation.current_lag import LARGEST_LAG
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
 from mr_damper_ros.models.domain import Origin
@@ -258,7 +259,8 @@ class ForcePredictor:
         """Process the identifier's report on a window."""
         verdict, reason = report.verdict, report.reason
         self._refused.follow(verdict, report.nrmse_before, confirms=report.confirms, reason=reason)
-        self._lag_ns = round(report.current_lag * NANOSECONDS)
+        if abs(report.current_lag) <= LARGEST_LAG:  # not NaN
+            self._lag_ns = round(report.current_lag * NANOSECONDS)
         if report.confirms:
             currents = self._current.span(report.window_start_ns, report.stamp_ns)
             if self._bank.confirm(report.set_id, report.stamp_ns, currents):

@@ -11,6 +11,9 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.force_scale import FluidTemperature, ForceScale
 
+_LATE_CURRENT = 0.01
+"""Time [s] by which the force may precede its current without a warning."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Report:
@@ -63,6 +66,18 @@ class Report:
         pairs = zip(self.coefficients.tolist(), self.coefficient_errors.tolist(), strict=False)
         named = zip(self.coefficient_names, pairs, strict=False)
         return {name: pair for name, pair in named if math.isfinite(pair[0])}
+
+    @property
+    def late_current(self) -> str:
+        """A sentence on a current that is stamped or read too late; empty if it is not."""
+        late, error = -self.current_lag, self.current_lag_error
+        if not late > _LATE_CURRENT:
+            return ""
+        return (
+            f"the force changes {late:.3g} ± {error:.2g} s before the stamped current, which is "
+            "shifted by this time: stamp the current when it is measured, read the supply without "
+            "averaging, or synchronise the clocks of machine and supply"
+        )
 
     @property
     def figures(self) -> list[str]:

@@ -154,8 +154,9 @@ class ValiditySettings(CheckedSettings):
     maximum_error: float = option(
         0.2,
         "Largest error of a valid force, relative to the recent peak of the measured force. It "
-        "limits the error of each sample and the root mean square error over a half-cycle. 0: the "
-        "measured force is ignored, for a rig without a load cell.",
+        "limits the error of each sample; while the root mean square error over a half-cycle "
+        "exceeds it, noise excuses no error. 0: the measured force is ignored, for a rig without a "
+        "load cell.",
         within=(0.0, 100.0),
     )
     largest_error: float = option(

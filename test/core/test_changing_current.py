@@ -1,5 +1,7 @@
 """Windows with a changing current: split, fitted and learnt from; the lag of the coil."""
 
+from dataclasses import replace
+
 import known
 import numpy as np
 import pytest
@@ -141,3 +143,30 @@ def test_the_jacobian_by_the_coil_is_that_of_differences() -> None:
     got = misfit.jacobian(LATE)[:, -1]
     # The central difference has an error of (step / lag)² times the third derivative.
     np.testing.assert_allclose(got, expected, atol=1e-3 * np.abs(expected).max())
+
+
+def stamped_late(seconds: float) -> RawWindow:
+    """A window whose current is stamped late."""
+    given = raw(switching())
+    places = np.arange(SAMPLES) - round(seconds / given.period)
+    return replace(given, current=given.current[places.clip(0)])
+
+
+def test_a_current_that_is_stamped_late_is_shifted_before_the_window_is_fitted() -> None:
+    late, right = (
+        WindowTracker(TrackerSettings(method="least_squares")).follow(each)
+        for each in (stamped_late(0.03), raw(switching()))
+    )
+    assert late is not None
+    assert right is not None
+    assert late.current_lag == pytest.approx(-0.03, abs=3e-3)
+    assert "before the stamped current" in late.late_current
+    assert not right.late_current
+
+
+def test_the_lag_of_a_coil_is_left_to_a_law_that_contains_it() -> None:
+    for law, applies in (("sigmoid", True), ("sigmoid_lag", False)):
+        settings = TrackerSettings(method="least_squares", model=law)
+        report = WindowTracker(settings).follow(raw(switching(), coil=LAG))
+        assert report is not None
+        assert (report.current_lag > 0.0) is applies

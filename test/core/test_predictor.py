@@ -227,3 +227,24 @@ def test_a_bag_that_loops_is_predicted_again_as_the_first_time() -> None:
     for k in range(100):
         made.add_current(known.T0 + k * NANOSECONDS // 10, 1.0)
     np.testing.assert_array_equal(forces(predicted(made, blocks)), first)
+
+
+# -- the lag of the current --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lag", [-0.03, 0.012])
+def test_the_current_is_shifted_by_the_lag_in_the_report(lag: float) -> None:
+    made = predictor(current=0.6)
+    made.follow_report(known.report("known", known.T0, known.T0, current_lag=lag))
+    switched_ns = known.T0 + 3 * NANOSECONDS
+    made.add_current(switched_ns, 1.4)
+    currents = np.concatenate([each.current for each in predicted(made, stream())])
+    steps = np.flatnonzero(np.diff(currents)) + 1
+    assert steps.tolist() == [3000 + round(lag / PERIOD)]
+
+
+@pytest.mark.parametrize("lag", [float("nan"), 1e300])
+def test_an_impossible_lag_in_a_report_is_ignored(lag: float) -> None:
+    made = predictor()
+    made.follow_report(known.report("known", known.T0, known.T0, current_lag=lag))
+    assert predicted(made, stream(RUN.displacement[:10]))[0].current is not None

@@ -58,6 +58,26 @@ def test_much_noise_alone_is_no_wrong_force() -> None:
     assert not any(watch.judge(force, force + beyond))
 
 
+@pytest.mark.parametrize(("noise", "refused"), [(0.0, 0.5), (0.04, 0.95)])
+def test_where_the_force_is_wrong_half_of_the_time_only_noise_makes_the_rest_invalid(
+    noise: float, refused: float
+) -> None:
+    watch, _ = watch_of(noise * PEAK)
+    rng = np.random.default_rng(1)
+    force = PEAK * np.sin(2.0 * np.pi * PERIOD * np.arange(4000))
+    wrong = np.arange(4000) % 200 < 100
+    measured = force + noise * PEAK * rng.standard_normal(4000)
+    invalid = np.zeros(4000, dtype=bool)
+    for part in np.split(np.arange(4000), 400):
+        off = np.where(wrong[part], 0.5 * PEAK, 0.1 * PEAK)
+        for each in watch.judge(force[part] + off, measured[part]) or []:
+            invalid[part] |= each.where
+    late = slice(1000, None)
+    assert watch.is_wrong
+    assert invalid[late][wrong[late]].all()
+    assert np.mean(invalid[late]) == pytest.approx(refused, abs=0.1)
+
+
 def test_after_a_wrong_stretch_the_force_is_valid_only_once_the_error_has_stayed_small() -> None:
     watch, _ = watch_of(0.0)
     force = PEAK * np.sin(2.0 * np.pi * PERIOD * np.arange(400))
