@@ -296,18 +296,18 @@ def run(job: Job, control: Control | None = None) -> Outcome:
     """
     began = time.perf_counter()
     try:
-        if job.raw is None:
+        if (raw := job.raw) is None:
             outcome = _search(job, control)
         else:
             window = _screened(job)
-            if not job.raw.look:
+            if not raw.look:
                 lag = job.memory.current_lag.after(window)
                 job = replace(job, memory=replace(job.memory, current_lag=lag))
             window = with_lag(window, job.current_lag)
             predicted = job.running.window_force(window)
             if (stepped := _step_of_load_cell(job, window, predicted)) is not None:
                 outcome = stepped
-            elif job.raw.look:
+            elif raw.look:
                 outcome = _check_change(job, window, predicted)
             else:
                 outcome = _fit(job, window, control.should_stop if control else None)
