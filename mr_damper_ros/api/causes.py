@@ -232,7 +232,7 @@ def _late_force(found: ParameterSet, windows: Sequence[Window]) -> list[Finding]
     best = trials[late]
     # The fits at other times may have found a better minimum.
     again = _refitted(found, windows, best.values, anew=True)
-    if best.nrmse > min(_SHIFTED * min(here.nrmse, again.nrmse), LARGEST_NRMSE):
+    if best.nrmse > min(_SHIFTED * min(here.nrmse, again.nrmse), 0.5 * LARGEST_NRMSE):
         return []
     doubt = 0.5 * float(np.mean([abs(each - late) for each in _neighbours(late, trials)]))
     serious = matters(_change(found, best.values, windows), best.nrmse)
