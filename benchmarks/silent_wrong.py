@@ -637,7 +637,7 @@ KINDS: tuple[Kind, ...] = (
     _kind(
         "uneven times in a file",
         _uneven,
-        "uneven_time",
+        "uneven_time missing",
         [
             *(("jitter", 0.1), ("jitter", 0.4), ("jitter", 0.8), ("change", 3.0)),
             *(("change", 1.5), ("change", 1.001), ("change", 1.0003), ("change", 2.0)),
