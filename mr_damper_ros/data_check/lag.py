@@ -34,6 +34,9 @@ the error of the skew for emulated dampers without skew."""
 _PARTS, _DRAWN = 20, 10_000
 """Largest number of parts whose scatter gives the error of the lead, and of samples."""
 
+_EXPLAINED = 1e-3
+"""Part of the squares of a force that is left where no lead is needed to explain it."""
+
 _HEAVIEST = 50.0
 """Largest mass [kg] between load cell and damper."""
 
@@ -137,13 +140,14 @@ def force_lead(displacement: Array, force: Array, period: float) -> tuple[float,
     # Some sound dampers seem to lead by a tenth of a cycle, but that hardly explains their force
     # better (false_findings).
     part = 1.0 - 2.0 * math.pi * frequency * period * leads[best]
-    leads_by = 0 < leads[best] < reach
-    if not leads_by or coarse[best] > max(part, 0.0) * coarse[leads <= 0].min():
+    without = coarse[leads <= 0].min()
+    unexplained = without > _EXPLAINED * places.size * float(np.var(force[places]))
+    if not 0 < leads[best] < reach or not unexplained or coarse[best] > max(part, 0.0) * without:
         return _UNKNOWN
     leads = np.unique(np.linspace(leads[best - 1], leads[best + 1], 9).astype(int))
     rests = np.stack([left(lead) for lead in leads.tolist()])
-    lead, *without = [period * _lowest(leads, rest) for rest in rests.T]
-    return lead, math.sqrt((count - 1) * float(np.var(without)))
+    lead, *others = [period * _lowest(leads, rest) for rest in rests.T]
+    return lead, math.sqrt((count - 1) * float(np.var(others)))
 
 
 def _lowest(places: Array, values: Array) -> float:
