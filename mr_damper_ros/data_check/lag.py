@@ -31,15 +31,18 @@ _LAW_ERROR = 4e-4
 """Additional standard error [s], because hysteresis is not exactly a fraction of the cycle. It is
 the error of the skew for emulated dampers without skew."""
 
-_PARTS, _DRAWN = 10, 5000
-"""Number of parts of a record whose scatter gives the error of the lead, and of its samples."""
+_PARTS, _DRAWN = 20, 10_000
+"""Largest number of parts whose scatter gives the error of the lead, and of samples."""
+
+_EXPLAINED = 1e-3
+"""Part of the squares of a force that is left where no lead is needed to explain it."""
 
 _HEAVIEST = 50.0
 """Largest mass [kg] between load cell and damper."""
 
-_LARGEST_LEAD, _SLOW = 0.2, 0.02
-"""Largest lead or lag that is tried, in cycles, and the part of the 90 % quantile of the speed at
-which the direction of the motion changes."""
+_LARGEST_LEAD, _SLOW = 0.2, (0.02, 0.15)
+"""Largest lead or lag that is tried, in cycles, and the parts of the 90 % quantile of the speed
+within which the direction of the motion changes: at once, and gradually."""
 
 _PAST_CYCLES, _EQUAL_CYCLES = 4, 0.05
 """Number of past cycles that affect the hysteresis, and their largest relative difference."""
@@ -95,62 +98,64 @@ def force_lead(displacement: Array, force: Array, period: float) -> tuple[float,
     """How much earlier than the motion (n,) the force (n,) reverses [s], and its standard error.
 
     The force is explained by the direction of the motion, its velocity, a preload, a spring and a
-    mass that is not too large. The lead is the shift of direction and velocity with which the least
-    is left; every hysteresis makes it negative. The error follows from the scatter of parts of the
-    record. A lead that cannot be estimated is NaN, with an infinite error.
+    mass up to the largest one. The lead is the shift of direction and velocity with which the least
+    is left. The error follows from the scatter of parts of the record. The lead is NaN, with an
+    infinite error, if it cannot be estimated, or if there is none: a hysteresis is a lag.
     """
     smooth, frequency = _smoother(displacement, period), motion_frequency(displacement, period)
     if smooth is None or not frequency:
         return _UNKNOWN
     reach = max(round(_LARGEST_LEAD / (frequency * period)), 2)
     places = np.arange(max(reach, smooth.length), force.size - max(reach, smooth.length))
-    if places.size * frequency * period < 2.0:
+    # Parts of whole cycles, because a part of a cycle has a lead of its own.
+    count = min(int(places.size * frequency * period), _PARTS)
+    if count < 2:
         return _UNKNOWN
     if places.size > _DRAWN:
         places = np.sort(np.random.default_rng(0).choice(places, _DRAWN, replace=False))
     velocity = smooth.derivative(displacement, 1, period)
     velocity /= float(np.quantile(np.abs(velocity), 0.9))
-    direction = np.tanh(velocity / _SLOW)
+    moving = np.stack((*(np.tanh(velocity / part) for part in _SLOW), velocity))
     mass = _HEAVIEST * smooth.derivative(displacement, 2, period)[places]
     # At the frequency of the motion, a spring is a negative mass.
     spring = -_HEAVIEST * (2.0 * math.pi * frequency) ** 2 * displacement[places]
-    fixed = np.ones(places.size), spring, mass, force[places]
+    fixed = np.stack((np.ones(places.size), spring, mass, force[places] - mass))
 
     def left(lead: int) -> Array:
         """Squares that are left of the whole record, and of it without each part."""
-        rows = np.stack((direction[places + lead], velocity[places + lead], *fixed))
-        sums = np.stack([part @ part.T for part in np.array_split(rows, _PARTS, axis=1)])
+        rows = np.concatenate((moving[:, places + lead], fixed))
+        sums = np.stack([part @ part.T for part in np.array_split(rows, count, axis=1)])
         whole, found = sums.sum(axis=0), []
         for each in (whole, *(whole - sums)):
             rest, factors = _rest(each)
-            if factors[3] + factors[4] > 1.0:
-                rest, _ = _rest(_WITH_HEAVIEST @ each @ _WITH_HEAVIEST.T)
+            if factors[-2] + factors[-1] > 0.0:
+                rest, _ = _rest(np.delete(np.delete(each, (-3, -2), axis=0), (-3, -2), axis=1))
             found.append(rest)
         return np.array(found)
 
     sizes = {round(reach * 0.75**k) for k in range(16)}
     leads = np.array(sorted(sizes | {-size for size in sizes} | {0}))
-    best = int(np.argmin([left(lead)[0] for lead in leads.tolist()]))
-    if best in (0, leads.size - 1):
+    coarse = np.array([left(lead)[0] for lead in leads.tolist()])
+    best = int(np.argmin(coarse))
+    # Some sound dampers seem to lead by a tenth of a cycle, but that hardly explains their force
+    # better (false_findings).
+    part = 1.0 - 2.0 * math.pi * frequency * period * leads[best]
+    without = coarse[leads <= 0].min()
+    unexplained = without > _EXPLAINED * places.size * float(np.var(force[places]))
+    if not 0 < leads[best] < reach or not unexplained or coarse[best] > max(part, 0.0) * without:
         return _UNKNOWN
     leads = np.unique(np.linspace(leads[best - 1], leads[best + 1], 9).astype(int))
     rests = np.stack([left(lead) for lead in leads.tolist()])
-
-    def least(rest: Array) -> float:
-        """The lead at the minimum of a parabola through the smallest of the rests (m,)."""
-        near = int(np.clip(np.argmin(rest), 1, leads.size - 2)) + np.array([-1, 0, 1])
-        bend, slope, _ = np.polyfit(leads[near], rest[near], 2)
-        inside = bend > 0.0 and leads[near[0]] <= -0.5 * slope / bend <= leads[near[2]]
-        return float(-0.5 * slope / bend if inside else leads[near[1]]) * period
-
-    without = [least(rest) for rest in rests.T[1:]]
-    return least(rests[:, 0]), math.sqrt((_PARTS - 1) * float(np.var(without)))
+    lead, *others = [period * _lowest(leads, rest) for rest in rests.T]
+    return lead, math.sqrt((count - 1) * float(np.var(others)))
 
 
-_WITH_HEAVIEST = np.array(
-    [[1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0], [0, 0, 0, 0, -1, 1]], dtype=float
-)
-"""Direction, velocity, preload and force without the inertia of the largest mass."""
+def _lowest(places: Array, values: Array) -> float:
+    """The place at the minimum of a parabola through the smallest of some values (m,)."""
+    near = int(np.clip(np.argmin(values), 1, places.size - 2)) + np.array([-1, 0, 1])
+    bend, slope, _ = np.polyfit(places[near], values[near], 2)
+    least = -0.5 * slope / bend if bend > 0.0 else math.inf
+    return float(least if places[near[0]] <= least <= places[near[2]] else places[near[1]])
 
 
 def _rest(products: Array) -> tuple[float, Array]:

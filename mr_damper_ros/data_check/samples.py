@@ -99,9 +99,9 @@ _EARLY = 1e-3
 _LITTLE = 0.04
 """Height cut off by clipping that does not matter, relative to half the range."""
 
-_MOST_CLIPPED = 0.3
-"""Largest part of the samples that may be clipped at one limit. Of flat loops of which a third was
-clipped at one side, fits of the rest were wrong by 20 %."""
+_MOST_CLIPPED = (0.3, 0.45)
+"""Largest part of the samples that may be clipped at one limit, and at both. Of flat loops of which
+a third was clipped at one limit, or half at both, fits of the rest were wrong by 20 %."""
 
 _RENEWALS = {"displacement": 12, "force": 60}
 """Smallest number of renewals in a cycle with which a channel that is held can be bridged; a force
@@ -115,13 +115,13 @@ _REPEATING = 0.02
 """Part of the samples of a channel with noise that repeats the sample before, at most."""
 
 _LEAST_USED = 0.5
-"""Smallest part of the samples that must be left where a run is cut, or its force clipped."""
+"""Smallest part of the samples that must be left where a run is cut."""
 
 _RESTORED = 0.1
 """Longest stay of a displacement at a limit, in cycles, that can be restored."""
 
-_GROSS = {Kind.COARSE: 0.2, Kind.NOISE: 0.25}
-"""Resolution and noise, relative to the standard deviation, above which they are warned of."""
+_GROSS = 0.4
+"""Resolution or noise, relative to the standard deviation, above which it is warned of."""
 
 _MOST_GLITCHES = 0.05
 """Largest fraction of wrong readings in a current that can be bridged."""
@@ -469,7 +469,7 @@ def _left_out(force: Array, found: list[Finding]) -> Mask | None:
         if each.kind is Kind.CLIPPED and each.channel == "force":
             sides = [force == limit.extreme for limit in clipped_at(force)]
             shares = [float(side.mean()) for side in sides]
-            if max(shares) <= _MOST_CLIPPED and sum(shares) <= 1.0 - _LEAST_USED:
+            if max(shares) <= _MOST_CLIPPED[0] and sum(shares) <= _MOST_CLIPPED[1]:
                 found[place] = each.mended(f"a fit leaves out {sum(shares):.1%} of the samples")
                 return np.any(sides, axis=0)
     return None
@@ -543,7 +543,7 @@ def _quality(samples: Samples) -> Iterator[Finding]:
             found = Kind.NOISE.found(name, value=noise, noise=noise, unit=UNITS[name], share=share)
         else:
             continue
-        gross = found.value > _GROSS[found.kind] * spread
+        gross = found.value > _GROSS * spread
         yield replace(found, severity=WARN if gross else NOTE)
     force, moved = samples.force, samples.motion_spectrum
     for line in samples.force_spectrum.standing_apart(moved.fastest):

@@ -110,7 +110,8 @@ def _propose(options: argparse.Namespace) -> int:
     """Show what a file holds, and print the command that imports it."""
     path: Path = options.file
     others = (options.start, options.stop, options.moving_average, options.currents)
-    if options.split or any(other is not None for other in others):
+    shifted = options.force_lateness or options.current_lateness
+    if options.split or shifted or any(other is not None for other in others):
         raise RecordError(_BOTH)
     if kind := irregularity(path):
         raise RecordError(f"{path} is {kind}: give a text, CSV, MAT, XLSX, TDMS or MF4 file")
