@@ -77,22 +77,12 @@ class ForceStep:
 
 
 class Compared(NamedTuple):
-    """Predicted and measured force [N] and current [A], each (n,), ``period`` [s] apart.
-
-    ``jumps`` (n,) [N] are those of :func:`jumps_within` if the samples are thinned.
-    """
+    """Predicted and measured force [N] and current [A], each (n,), ``period`` [s] apart."""
 
     predicted: Array
     measured: Array
     current: Array
     period: float
-    jumps: Array | None = None
-
-    def newest(self, first: int) -> Compared:
-        """The samples from the ``first`` on."""
-        jumps = None if self.jumps is None else self.jumps[first:]
-        held = (self.predicted[first:], self.measured[first:], self.current[first:])
-        return Compared(*held, self.period, jumps)
 
 
 class Found(NamedTuple):
@@ -105,40 +95,23 @@ class Found(NamedTuple):
 
 def find_step(given: Compared) -> Found | None:
     """The step of the load cell in the samples; None without one."""
-    predicted, measured, current, period, _ = given
+    predicted, measured, current, period = given
     if measured.size < 2 * _FEWEST:
         return None
-    changes = np.diff(measured - predicted) if given.jumps is None else given.jumps[1:]
+    changes = np.diff(measured - predicted)
     usual = float(np.quantile(np.abs(changes), 1.0 - _OFTEN))
     largest = np.argsort(-np.abs(changes), kind="stable")[:_MOST_TRIED]
-    alone = np.ones(changes.size, dtype=bool) if given.jumps is not None else _alone(changes)
     for change in np.sort(largest[np.abs(changes[largest]) > SIGMAS * usual]).tolist():
-        place = change + 1
-        if place < _FEWEST or measured.size - place <= _BESIDE + 1 or not alone[change]:
+        place, jump = change + 1, changes[change]
+        if place < _FEWEST or measured.size - place <= _BESIDE:
             continue
-        if _has_excuse(current, place, period):
+        moves_on = changes[change - _BESIDE : change + _BESIDE + 1] / jump
+        moves_on[_BESIDE] = 0.0
+        if moves_on.max() > _ISOLATED or _has_excuse(current, place, period):
             continue
-        if (found := _judged(given, place, float(changes[change]))) is not None:
+        if (found := _judged(given, place)) is not None:
             return found
     return None
-
-
-def jumps_within(force: Array, count: int) -> Array:
-    """The largest jump [N] of a force (m,) within each ``count`` samples, (m/count,).
-
-    A jump that moves on in the samples beside it is none.
-    """
-    changes = np.diff(force, prepend=force[:1])
-    parts = np.where(_alone(changes), changes, 0.0).reshape(-1, count)
-    return np.take_along_axis(parts, np.abs(parts).argmax(axis=1)[:, np.newaxis], axis=1)[:, 0]
-
-
-def _alone(changes: Array) -> Mask:
-    """Whether each of the changes (n,) does not move on in those beside it."""
-    padded = np.pad(changes, _BESIDE)
-    beside = [each for each in range(2 * _BESIDE + 1) if each != _BESIDE]
-    onward = np.max([padded[k : k + changes.size] * np.sign(changes) for k in beside], axis=0)
-    return np.asarray(onward <= _ISOLATED * np.abs(changes))
 
 
 def is_back(step: ForceStep, given: Compared) -> bool:
@@ -165,25 +138,23 @@ def _medians(values: Array, above: Mask) -> list[float]:
     return [float(np.median(values[s])) for s in sides if np.count_nonzero(s) > _BESIDE]
 
 
-def _judged(given: Compared, place: int, jump: float) -> Found | None:
-    """The step at a ``jump`` [N], if one factor or one offset explains the samples after it."""
-    predicted, measured, _, period, jumps = given
+def _judged(given: Compared, place: int) -> Found | None:
+    """The step at a jump, if one factor or one offset explains the samples from there on."""
+    predicted, measured, _, period = given
     residual, above = measured - predicted, predicted > np.mean(predicted)
     nearby = max(min(residual.size - place, place // 2), _FEWEST)
     error = max(
         _typical(residual[begin:place], above[begin:place]) for begin in (0, place - nearby)
     )
-    # A thinned sample may lie before its jump or after it.
-    first = place if jumps is None else place + 1
-    p, m, above = predicted[first:], measured[first:], above[first:]
+    p, m, above = predicted[place:], measured[place:], above[place:]
     without = _typical(m - p)
     sound = np.abs(m) <= SIGMAS * np.quantile(np.abs(m), 1.0 - _OFTEN)
     power = float(p[sound] @ p[sound])
     if not (power > 0.0 and error < min(_GOOD * _typical(predicted), _EXPLAINS * without)):
         return None
-    resolved = period <= _RESOLVES or jumps is not None
-    factor = float(p[sound] @ m[sound]) / power if resolved else 1.0
+    factor = float(p[sound] @ m[sound]) / power if period <= _RESOLVES else 1.0
     offset = float(np.mean(_medians(m - p, above) or math.nan))
+    jump = float(residual[place] - residual[place - 1])
     most = min(_AS_GOOD * error, _EXPLAINS * without)
     explained = [
         (left, *step)

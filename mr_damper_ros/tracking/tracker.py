@@ -618,8 +618,7 @@ def _step_of_load_cell(job: Job, window: Window, predicted: Array) -> Outcome | 
     begin += int(np.argmax(running.settled(window)[begin:])) if begin < predicted.size else 0
     if memory.step is not None:
         begin = max(begin, window.sample_count - max(raw.look, window.sample_count // 4))
-    whole = Compared(predicted, window.force, window.current, window.period, raw.force_jumps)
-    given = whole.newest(begin)
+    given = Compared(predicted[begin:], window.force[begin:], window.current[begin:], window.period)
     if memory.step is None:
         if (found := find_step(given)) is None:
             return None

@@ -17,7 +17,6 @@ from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array, RollingRows
 from mr_damper_ros.signals.blocks import KEEP_CURRENT, NANOSECONDS, SampleBlock, ZeroOrderHold
 from mr_damper_ros.signals.uniform_grid import GridSettings, Placed, UniformGrid
-from mr_damper_ros.tracking.force_step import jumps_within
 from mr_damper_ros.tracking.screening import long_rest
 
 _HOLD_BACK = 0.05
@@ -34,8 +33,7 @@ class RawWindow:
     ``peak_velocity`` [m/s] is estimated from the whole stream; None if there is only the window.
     ``look`` is 0 for a window to be fitted. For a change check, which is cut between two windows,
     it is the number of newest samples to compare with the running set. ``force_after`` [sample
-    periods] is the delay from each sample to the measurement of its force (None: 0). If the window
-    is thinned, ``force_jumps`` [N] are the jumps of the force between two of the original samples.
+    periods] is the delay from each sample to the measurement of its force (None: 0).
     """
 
     start_ns: int
@@ -47,7 +45,6 @@ class RawWindow:
     look: int = 0
     peak_velocity: Array | None = None
     force_after: Array | None = None
-    force_jumps: Array | None = None
 
     @property
     def end_ns(self) -> int:
@@ -273,10 +270,8 @@ class WindowAssembler:
         count = reach // stride
         samples = self._samples(end - count * stride, end).copy()
         displacement, force, peak, after, stamps = samples[:, stride // 2 :: stride]
-        jumps: Array | None = None
         if stride > 1:
             displacement = samples[0].reshape(count, stride).mean(axis=1)
-            jumps = jumps_within(samples[1], stride)
         return RawWindow(
             self._begin_ns + int(stamps[0]),
             stride * period,
@@ -287,7 +282,6 @@ class WindowAssembler:
             look=look,
             peak_velocity=peak,
             force_after=after / stride if after.any() else None,
-            force_jumps=jumps,
         )
 
     def _ready(self) -> list[RawWindow]:

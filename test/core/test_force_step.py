@@ -13,13 +13,7 @@ from hypothesis import strategies as st
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import AcceptanceSettings, Verdict
-from mr_damper_ros.tracking.force_step import (
-    Compared,
-    ForceStep,
-    find_step,
-    is_back,
-    jumps_within,
-)
+from mr_damper_ros.tracking.force_step import Compared, ForceStep, find_step, is_back
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.tracker_state import from_text, to_text
@@ -237,19 +231,3 @@ def test_an_option_takes_a_step_for_a_change_of_the_damper() -> None:
     reports = followed(made, 3, 7, factor=0.6, since=SINCE)
     assert Verdict.INSTRUMENT not in {each.verdict for each in reports}
     assert reports[-1].nrmse_before < 0.1
-
-
-@pytest.mark.parametrize(("coil", "found"), [(None, True), (8e-3, False)])
-def test_a_thinned_window_keeps_the_jumps_between_its_samples(
-    coil: float | None, found: bool
-) -> None:
-    """Every 15 ms, an open coil looks like a jump; every millisecond, it does not."""
-    at, count = 0.905, 15
-    change = stepped(0.5, at=at) if coil is None else lagged(0.5, at, coil)
-    whole = compared(change).newest(5)
-    parts = [each[count // 2 :: count] for each in whole[:3]]
-    jumps = jumps_within(whole.measured, count)
-    step = find_step(Compared(*parts, count * whole.period, jumps))
-    assert (step is not None) is found
-    if step is not None:
-        assert step.factor == pytest.approx(0.5, rel=0.1)
