@@ -138,12 +138,11 @@ SCENARIOS: tuple[Scenario, ...] = (
     *_all("displacement_gain:-1", "displacement_stuck", stream="random"),
     Scenario("displacement_gain:10", stream="random", other_damper=True),
     *_all("coil_factor:0", "force_loss:0.4", "tempo:0", "lost_blocks:0.05", stream="random"),
-    # The signals are those of a stronger or weaker damper, as after a change of temperature, ...
-    Scenario("force_gain:0.5", unknowable=True, lasts=True),
-    Scenario("force_gain:1.5", unknowable=True, lasts=True),
-    # ... of another gas pressure, ...
+    # Within one sample, as no damper changes.
+    *_all("force_gain:0.5", "force_gain:1.5", lasts=True),
+    *_all("force_offset:300"),
+    # The signals are those of a damper of another gas pressure, ...
     Scenario("force_creep:60", unknowable=True, lasts=True),
-    Scenario("force_offset:300", unknowable=True),
     Scenario("crosstalk:200", unknowable=True),
     # ... or with a mount or a fluid that has become compressible.
     Scenario("force_delay:0.1", unknowable=True),

@@ -190,7 +190,13 @@ def _steps(name: str, seed: int) -> list[Stepped]:
         learnt = any(begin < each.time < begin + _LASTS for each in result.sets)
         wrong = result.wrong_valid(since=begin).longest
         found.append(
-            Stepped(wrong, _named(result), learnt, share, f"{step}@{begin:g} {name} {motion}")
+            Stepped(
+                wrong,
+                _named(result),
+                learnt,
+                share,
+                f"{step}@{begin:g} {name} {type(motion).__name__}",
+            )
         )
     return found
 

@@ -335,7 +335,6 @@ class ForcePredictor:
                 half_cycle,
                 float(current[-1]),
             ),
-            bound=self._monitor.bound,
         )
         allowed = self._monitor.allowed
         sensible = self._newest_kind not in (DoubtKind.SENSOR, DoubtKind.INSTRUMENT)

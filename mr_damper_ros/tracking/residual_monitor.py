@@ -36,9 +36,16 @@ _SHORTEST = 0.2
 """Shortest time [s] over which the root mean square error is computed. A force must be constant for
 at least twice this time to count as a fault, because a short half-cycle is inaccurate."""
 
-_TAIL = 0.025
-"""Part of the time, at either end, that the span of the force excludes: together, a 95 % quantile.
-A knock, a loose plug or an amplifier in saturation is shorter."""
+_OUTLIER_EVERY = 20
+"""At either end, the span excludes one in this many samples of a stretch, as possible outliers."""
+
+_FEWEST = 4
+"""Spans of at most this many samples exclude none."""
+
+_TAIL, _PEAKED = 0.025, 2.0
+"""The span of the force is at most the second value times the one that excludes the first part of
+the time at either end, a 95 % quantile. A damper exceeds it by less, and a knock, a loose plug or
+an amplifier in saturation is shorter."""
 
 _POINTS = 16
 """Number of quantiles that represent the measured force of a stretch."""
@@ -60,11 +67,12 @@ of half the span. A larger offset comes from a load cell that was not zeroed, an
 class ForceStatistics:
     """Running force statistics over some cycles of samples ``period`` [s] apart.
 
-    ``peak`` and ``centre`` [N] are the 95 % quantile of the magnitude of the measured force and the
-    middle of its span; NaN before the first stretch. If the motion is not steady, they cover the
-    longer of ten seconds and a cycle. Forces at other currents count for at most ten
-    seconds, and only until the present current has lasted for a cycle. In a cycle of more than ten
-    seconds at a steady current, they count up to the largest force of the set at this current.
+    ``peak`` and ``centre`` [N] are the largest magnitude of the measured force and the middle of
+    its span, without outliers and at most twice the 95 % quantile; NaN before the first stretch. If
+    the motion is not steady, they cover the longer of ten seconds and a cycle. Forces at other
+    currents count for at most ten seconds, and only until the present current has lasted for a
+    cycle. In a cycle of more than ten seconds at a steady current, they count up to the largest
+    force of the set at this current.
     ``noise`` [N] is the standard deviation of the white part of the measured force. ``stuck`` says
     that this force has been constant for a half-cycle, ``measured_drives`` and ``predicted_drives``
     that the measured or predicted force is not dissipative.
@@ -72,14 +80,15 @@ class ForceStatistics:
 
     def __init__(self, period: float) -> None:
         self._period = period
-        # Predicted, measured and bounded force, velocity and current of the present stretch.
-        self._parts: list[tuple[Array, ...]] = []
+        # Predicted and measured force, velocity and current of the present stretch.
+        self._parts: list[tuple[Array, Array, Array, Array]] = []
         self._count = 0
         self._stretch = max(round(_SHORTEST_MEMORY / _STRETCHES / period), 1)
-        # A column for each stretch: number of samples; noise of the measured force f; lowest and
-        # highest current; whether the stretch before had the same current; quantiles of f; the sums
-        # of the velocity v, of f, v², v f and f²; those of the predicted force p, v p and p².
-        self._past = RollingRows(5 + _POINTS + 8)
+        # A column for each stretch: number of samples; highest, lowest and noise of the measured
+        # force f; lowest and highest current; whether the stretch before had the same current;
+        # quantiles of f; the sums of the velocity v, of f, v², v f and f²; those of the predicted
+        # force p, v p and p².
+        self._past = RollingRows(7 + _POINTS + 8)
         self._unchanged = 0
         self.peak = math.nan
         self.centre = math.nan
@@ -97,20 +106,14 @@ class ForceStatistics:
         *,
         steady: bool,
         largest: Callable[[], float],
-        bound: float = math.inf,
     ) -> None:
         """Add samples (n,) of predicted and measured force [N], velocity [m/s] and current [A].
 
         ``half_cycle`` [s] of the motion is NaN if unknown. ``steady`` says whether the motion is a
         continuing sine. ``largest`` returns the largest force [N] that the set gives in a cycle at
-        the present current. The measured force counts up to the ``bound`` [N] away from the
-        predicted force: what a set gives that has just been right bounds what is not the damper's.
+        the present current.
         """
-        predicted, measured = forces
-        bounded = measured
-        if bound < math.inf:
-            bounded = np.clip(measured, predicted - bound, predicted + bound)
-        self._parts.append((predicted, measured, bounded, velocity, current))
+        self._parts.append((*forces, velocity, current))
         self._count += velocity.size
         if self._count >= self._stretch:
             self._finish(half_cycle, steady, largest)
@@ -122,29 +125,31 @@ class ForceStatistics:
         self._past.newest[-3:] = 0.0
 
     def _finish(self, half_cycle: float, steady: bool, largest: Callable[[], float]) -> None:
-        predicted, measured, bounded, velocity, current = np.concatenate(self._parts, axis=1)
+        predicted, measured, velocity, current = np.concatenate(self._parts, axis=1)
         low, high = span_of(current)
         count, self._count = self._count, 0
         self._parts.clear()
         if not np.isfinite(predicted).all():
             predicted = np.zeros(count)
         noise, unchanged = white_noise(measured), np.ptp(measured) == 0.0
-        points = np.sort(bounded)[((np.arange(_POINTS) + 0.5) * count / _POINTS).astype(int)]
+        wild = max(count // _OUTLIER_EVERY, 1) if count > _FEWEST else 0
+        ordered = np.sort(measured)
+        bottom, top = ordered[[wild, -1 - wild]].tolist()
+        points = ordered[((np.arange(_POINTS) + 0.5) * count / _POINTS).astype(int)]
+        measured = measured.clip(bottom, top)
         settled = True
         if self._past.count:
-            _, _, low_before, high_before, _, *before = self._past.newest[:, -1]
-            unchanged = unchanged and points[0] == before[0] == before[_POINTS - 1]
+            _, top_before, bottom_before, _, low_before, high_before, *_ = self._past.newest[:, -1]
+            unchanged = unchanged and top == top_before == bottom_before
             settled = max(high - low_before, high_before - low) <= SAME_CURRENT
         self._unchanged = self._unchanged + count if unchanged else 0
-        # Outliers have no power.
-        measured = measured.clip(points[0], points[-1])
         with np.errstate(over="ignore", invalid="ignore"):
             sums = (
                 *(velocity.sum(), measured.sum()),
                 *(velocity @ velocity, velocity @ measured, measured @ measured),
                 *(predicted.sum(), velocity @ predicted, predicted @ predicted),
             )
-        self._past.add((count, noise, low, high, settled, *points, *sums), 1)
+        self._past.add((count, top, bottom, noise, low, high, settled, *points, *sums), 1)
         # While the half-cycle is unknown, the memory is as short as possible.
         known = 0.0 if math.isnan(half_cycle) else half_cycle
         memory = min(max(HALF_CYCLES * known, _SHORTEST_MEMORY), _LONGEST_MEMORY)
@@ -155,7 +160,7 @@ class ForceStatistics:
         ages = (newest_first[0].cumsum() - newest_first[0]) * self._period
         self._past.keep(int(np.count_nonzero(ages < max(memory, unsteady))))
         recent = newest_first[:, ages < memory]
-        self.noise = middle(recent[1])
+        self.noise = middle(recent[3])
         self._judge_span(
             newest_first[:, ages < (memory if steady else unsteady)], 2.0 * known, largest
         )
@@ -163,20 +168,26 @@ class ForceStatistics:
 
     def _judge_span(self, stretches: Array, cycle: float, largest: Callable[[], float]) -> None:
         """Compute peak and centre from stretches, newest first, with a ``cycle`` [s] of motion."""
-        counts, _, lows, highs, settled = stretches[:5]
+        counts, tops, bottoms, _, lows, highs, settled = stretches[:7]
         current = highs[0]
         here = (settled > 0.0) & (abs(lows - current) <= SAME_CURRENT)
         here &= abs(highs - current) <= SAME_CURRENT
         stayed = float(counts[np.logical_and.accumulate(here)].sum()) * self._period
         ages = (counts.cumsum() - counts) * self._period
         others = 0.0 if stayed >= max(cycle, _SHORTEST_MEMORY) else RECENT
-        bottom, top = _span(stretches[:, here | (ages < others)])
-        if here.any():
-            lowest, highest = _span(stretches[:, here])
-            if not here.all() and cycle > RECENT and stayed >= _STEADY_CURRENT:
-                most = largest()
-                bottom, top = max(bottom, -most), min(top, most)
-            bottom, top = min(bottom, lowest), max(top, highest)
+        counted = here | (ages < others)
+        top, bottom = float(tops[counted].max()), float(bottoms[counted].min())
+        if not here.all() and cycle > RECENT and stayed >= _STEADY_CURRENT:
+            most = largest()
+            top = max(min(top, most), float(tops[here].max()))
+            bottom = min(max(bottom, -most), float(bottoms[here].min()))
+        # A current that has just changed is represented by its own forces.
+        own = here if here.any() else np.arange(here.size) == 0
+        spans = _span(stretches[:, counted]), _span(stretches[:, own])
+        low, high = min(span[0] for span in spans), max(span[1] for span in spans)
+        half, between = 0.5 * (high - low), 0.5 * (high + low)
+        top = min(top, between + _PEAKED * half)
+        bottom = max(bottom, between - _PEAKED * half)
         half, self.centre = 0.5 * (top - bottom), 0.5 * (top + bottom)
         self.peak = half + min(abs(self.centre), _PRELOAD * half)
 
@@ -201,7 +212,7 @@ class ForceStatistics:
 
 def _span(stretches: Array) -> tuple[float, float]:
     """Lowest and highest measured force [N] of stretches, without the tails."""
-    forces = stretches[5 : 5 + _POINTS].ravel()
+    forces = stretches[7 : 7 + _POINTS].ravel()
     order = np.argsort(forces)
     time = np.tile(stretches[0], _POINTS)[order].cumsum()
     bottom, top = np.searchsorted(time, (_TAIL * time[-1], (1.0 - _TAIL) * time[-1]))
@@ -338,14 +349,6 @@ class ResidualMonitor:
         error counts while it lasts, and afterwards only through the root mean square.
         """
         return self._compared >= self._enough and not (self.is_wrong or self._wait)
-
-    @property
-    def bound(self) -> float:
-        """Largest error [N] that counts as the damper's while the set is right."""
-        if self._limit == 0.0 or self.is_wrong or self._compared < self._enough:
-            return math.inf
-        peak = self.recent.peak
-        return _LARGEST_ENTRY * self._limit_at(peak) if peak > 0.0 else math.inf
 
     @property
     def allowed(self) -> float:
