@@ -295,12 +295,12 @@ def run(job: Job, control: Control | None = None) -> Outcome:
         if job.raw is None:
             outcome = _search(job, control)
         else:
-            window = _screened(job)
-            if not job.raw.look:
+            window, look = _screened(job), job.raw.look
+            if not look:
                 lag = job.memory.current_lag.after(window)
                 job = replace(job, memory=replace(job.memory, current_lag=lag))
             window = with_lag(window, job.current_lag)
-            if job.raw.look:
+            if look:
                 outcome = _check_change(job, window)
             else:
                 outcome = _fit(job, window, control.should_stop if control else None)
