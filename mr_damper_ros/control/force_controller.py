@@ -495,7 +495,7 @@ class ForceController:
         current = math.nan if prediction.current is None else float(prediction.current[-1])
         in_use = permit is not None and permit.candidate.parameters is parameters
         doubt = self._licence.judge(
-            *(prediction.newest_doubt, current),
+            *(prediction.newest_doubt or prediction.set_doubt, current),
             in_use=in_use,
             in_control=not self._fallback.lasts,
         )

@@ -192,12 +192,11 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         }
         if self._last is None or self._inputs.samples.silent:
             return Finding(STALE, "nothing to predict: no samples arrive", values)
-        doubt = self._last.newest_doubt
+        doubt = self._last.newest_doubt or self._last.set_doubt
         values["doubt"] = doubt.kind.name
         if doubt:
-            return Finding(
-                ERROR if doubt.kind.grave else WARN, f"not valid: {doubt.sentence}", values
-            )
+            told = "not valid" if self._last.newest_doubt else "valid in part of the cycle"
+            return Finding(ERROR if doubt.kind.grave else WARN, f"{told}: {doubt.sentence}", values)
         # Over a fraction of a cycle the measured force varies little, and its NRMSE says nothing.
         if math.isnan(nrmse) or self._error.duration < 0.5 * self._options.error_memory:
             return Finding(OK, "valid", values)

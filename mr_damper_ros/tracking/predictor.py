@@ -58,9 +58,10 @@ class Prediction:
     """Predicted force [N], shape (n,), of the block's samples.
 
     ``doubts`` (n,) holds the reason code (:class:`DoubtKind`) of each sample; ``doubt`` is the
-    reason of the newest invalid sample. ``velocity`` [m/s], shape (n,), is the estimated velocity,
-    NaN if unknown. ``motion`` and ``current`` (m,) [A] are the inputs of the newest samples; None
-    without a force.
+    reason of the newest invalid sample. ``set_doubt`` says why the set is wrong in part of the
+    cycle, which concerns a controller also at a right sample. ``velocity`` [m/s], shape (n,), is
+    the estimated velocity, NaN if unknown. ``motion`` and ``current`` (m,) [A] are the inputs of
+    the newest samples; None without a force.
     """
 
     start_ns: int
@@ -74,6 +75,7 @@ class Prediction:
     continuity: str = ""
     motion: Motion | None = None
     current: Array | None = None
+    set_doubt: Doubt = NO_DOUBT
 
     @property
     def valid(self) -> bool:
@@ -411,6 +413,7 @@ class ForcePredictor:
             continuity=placed.sentence,
             motion=parts[-1].motion,
             current=parts[-1].current,
+            set_doubt=self._monitor.doubt,
         )
 
     def _begin(self, period: float) -> None:

@@ -23,7 +23,7 @@ from mr_damper_ros.models.quantities import NOTICED, SAME_CURRENT
 from mr_damper_ros.signals.arrays import SIGMAS, Array, RollingRows, span_of, white_noise
 from mr_damper_ros.tracking.bumpless_transfer import FADE_TIME
 from mr_damper_ros.tracking.operating_point import RECENT
-from mr_damper_ros.tracking.validity import DoubtKind, Objection, middle
+from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind, Objection, middle
 
 _SHORTEST_MEMORY = 2.0
 _LONGEST_MEMORY = 120.0
@@ -351,6 +351,18 @@ class ResidualMonitor:
         return self._compared >= self._enough and not (self.is_wrong or self._wait)
 
     @property
+    def doubt(self) -> Doubt:
+        """Why the set is wrong in part of the cycle, also while single samples are right."""
+        if not self.is_wrong:
+            return NO_DOUBT
+        return Doubt(
+            DoubtKind.WRONG,
+            f"the RMS error of the predicted force was {math.sqrt(self._square):.0%} of the peak "
+            f"over the last half-cycle: the set is right again below "
+            f"{_RECOVERED * self._limit:.0%}",
+        )
+
+    @property
     def allowed(self) -> float:
         """Largest error [N] of a valid sample; infinite if no force is measured."""
         peak = self.recent.peak
@@ -417,8 +429,6 @@ class ResidualMonitor:
             f"the error of the predicted force is {worst:.3g} N at a measured peak of "
             f"{peak:.3g} N: maximum_error and largest_error allow {limit:.3g} N"
         )
-        if self.is_wrong:
-            sentence += f", and its RMS error {math.sqrt(self._square):.0%} over a half-cycle"
         where = np.array(wrong)
         if recent.predicted_drives:
             # A force that agrees with the measured force is as dissipative as the measured one.
