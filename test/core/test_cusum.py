@@ -86,8 +86,9 @@ def test_without_force_there_is_nothing_to_compare() -> None:
 
 # -- early fits ------------------------------------------------------------------------------
 
-STEP = 4.3
-"""Time of the step [s], in the middle of a hop."""
+STEP, TRANSITION = 4.3, 0.01
+"""Time of the step [s], in the middle of a hop, and its duration [s]: a factor that arrives within
+one sample is one of the load cell."""
 
 
 def stream(
@@ -97,7 +98,8 @@ def stream(
     settings: dict[str, object] = {"samples": 10_000, **run}
     whole = known.run(**settings)  # type: ignore[arg-type]
     time = np.arange(10_000) * whole.period
-    force = np.where(time >= STEP, factor, 1.0) * whole.clean + whole.force - whole.clean
+    share = np.clip((time - STEP) / TRANSITION, 0.0, 1.0)
+    force = whole.force + share * (factor - 1.0) * whole.clean
     if callable(spoil):
         force = spoil(time, force)
     tracked = known.tracker()
