@@ -37,6 +37,9 @@ _PARTS, _DRAWN = 20, 10_000
 _EXPLAINED = 1e-3
 """Part of the squares of a force that is left where no lead is needed to explain it."""
 
+_MUCH_BETTER = 0.3
+"""Part of the squares without a lead that is left by any lead, however long, that is a fault."""
+
 _HEAVIEST = 50.0
 """Largest mass [kg] between load cell and damper."""
 
@@ -139,12 +142,13 @@ def force_lead(displacement: Array, force: Array, period: float) -> tuple[float,
     best = int(np.argmin(coarse))
     # Some sound dampers seem to lead by a tenth of a cycle, but that hardly explains their force
     # better (false_findings).
-    part = 1.0 - 2.0 * math.pi * frequency * period * leads[best]
+    part = max(1.0 - 2.0 * math.pi * frequency * period * leads[best], _MUCH_BETTER)
     without = coarse[leads <= 0].min()
     unexplained = without > _EXPLAINED * places.size * float(np.var(force[places]))
-    if not 0 < leads[best] < reach or not unexplained or coarse[best] > max(part, 0.0) * without:
+    if not (leads[best] > 0 and unexplained and coarse[best] <= part * without):
         return _UNKNOWN
-    leads = np.unique(np.linspace(leads[best - 1], leads[best + 1], 9).astype(int))
+    around = leads[best - 1 : best + 2]
+    leads = np.unique(np.linspace(around[0], around[-1], 9).astype(int))
     rests = np.stack([left(lead) for lead in leads.tolist()])
     lead, *others = [period * _lowest(leads, rest) for rest in rests.T]
     return lead, math.sqrt((count - 1) * float(np.var(others)))
