@@ -28,10 +28,7 @@ def window_of(recording: Recording) -> Window:
 
 def cut(recording: Recording, part: slice) -> Recording:
     """A part of a recording, without its temperature."""
-    channels = {
-        name: getattr(recording, name)[part] for name in ("displacement", "force", "current")
-    }
-    return replace(recording, temperature=None, **channels)
+    return replace(recording.part(part), start_ns=recording.start_ns, temperature=None)
 
 
 def rms(values: Array) -> float:

@@ -24,7 +24,6 @@ from mr_damper_ros.models.misfit import ChosenParameters, Misfit
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import SIGMAS, Array
-from mr_damper_ros.signals.blocks import MOST_SAMPLES
 
 LARGEST_NRMSE = 0.3
 """Largest acceptable NRMSE of a run; above it, the set explains too little of the force."""
@@ -168,6 +167,9 @@ late: those of ``silent_wrong`` leave 0.71 or more without a shift, and 0.67 or 
 _HOPELESS = 1.3
 """Ratio of the NRMSE to the best so far at which larger shifts are not tried."""
 
+_STROKE_SAMPLES = 5000
+"""Approximate number of samples of a motion in which strokes are looked for."""
+
 _MOST_WINDOWS = 6
 """Largest number of windows whose force or current is shifted."""
 
@@ -199,7 +201,7 @@ def _telling(windows: Sequence[Window]) -> list[Window]:
 
 def _strokes(window: Window) -> list[float]:
     """Durations [s] of the strokes of a motion."""
-    position = averages(window.motion.displacement, MOST_SAMPLES)
+    position = averages(window.motion.displacement, _STROKE_SAMPLES)
     places = turning_points(position.tolist(), TURN * float(np.ptp(position)))[1:-1]
     duration = window.sample_count * window.period / position.size
     return (np.diff(places) * duration).tolist()

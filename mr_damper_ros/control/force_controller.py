@@ -349,7 +349,7 @@ class ForceController:
     def __init__(self, settings: ForceControlSettings, grid: GridSettings | None = None) -> None:
         self.settings = settings
         predictor, fallback = settings.predictor, settings.fallback
-        self._candidates = CandidateSets(predictor.maximum_error)
+        self._candidates = CandidateSets(predictor.error_limit)
         self.predictor = ForcePredictor(predictor, grid, self._candidates)
         """Predicts the force and its validity.
 

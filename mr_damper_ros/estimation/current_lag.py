@@ -49,10 +49,14 @@ _SAMPLES = 1000
 class CurrentLag:
     """The evidence for each of the compared lags, of all windows so far.
 
-    ``costs`` (m,) are negative log-likelihoods.
+    ``costs`` (m,) are negative log-likelihoods; raises ValueError for another number of them.
     """
 
     costs: Array = field(default_factory=lambda: np.zeros(_GRID.size))
+
+    def __post_init__(self) -> None:
+        if self.costs.shape != _GRID.shape:
+            raise ValueError(f"{self.costs.size} lags are compared instead of {_GRID.size}")
 
     @property
     def estimate(self) -> tuple[float, float]:
@@ -79,14 +83,16 @@ class CurrentLag:
         return CurrentLag(_MEMORY * self.costs + _SHARE * found)
 
 
-def with_lag(window: Window, lag: float) -> Window:
-    """The window with its current ``lag`` [s] later, without the samples of unknown current."""
-    shift = round(lag / window.period)
-    if shift == 0 or window.has_constant_current or abs(shift) >= window.sample_count:
-        return window
-    places = np.arange(window.sample_count) - shift
-    known = (places >= 0) & (places < window.sample_count)
-    return _shifted(window, shift).part(known)
+def with_lag(window: Window, lag: float) -> tuple[Window, slice]:
+    """The window with its current ``lag`` [s] later, and which of its samples these are.
+
+    The samples of unknown current, at one of the ends, are left out.
+    """
+    shift, count = round(lag / window.period), window.sample_count
+    if shift == 0 or window.has_constant_current or abs(shift) >= count:
+        return window, slice(0, count)
+    known = slice(max(shift, 0), count + min(shift, 0))
+    return _shifted(window, shift).part(known), known
 
 
 def _shifted(window: Window, shift: int) -> Window:

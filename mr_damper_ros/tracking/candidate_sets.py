@@ -21,6 +21,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import CURRENT_READING, State
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.residual_monitor import ForceStatistics, LoadCellZero, ResidualMonitor
+from mr_damper_ros.tracking.validity import ErrorLimit
 
 _CELLS = 16
 """Number of cells into which the evidence divides the current range of a set."""
@@ -81,7 +82,7 @@ class CurrentEvidence:
     ``currents`` [A] is the current range of the set; ``limit`` is the largest error that is right.
     """
 
-    def __init__(self, currents: tuple[float, float], limit: float) -> None:
+    def __init__(self, currents: tuple[float, float], limit: ErrorLimit) -> None:
         self._currents = currents
         span = currents[1] - currents[0]
         self._width = max(span / _CELLS, CURRENT_READING) if span < math.inf else _USUAL_CELL
@@ -139,10 +140,10 @@ class CurrentEvidence:
         }
         cells = self._proven.values()
         force = max((cell.force / cell.time for cell in cells), default=0.0)
-        force = max(force, (_SMALLEST_PART * self._peak) ** 2)
+        allowed = self._limit.at(max(math.sqrt(force), _SMALLEST_PART * self._peak))
         for cell in cells:
-            limit = self._limit * (_RECOVERED if cell.refuted else 1.0)
-            cell.refuted = cell.error / cell.time > limit**2 * force
+            limit = allowed * (_RECOVERED if cell.refuted else 1.0)
+            cell.refuted = cell.error / cell.time > limit**2
 
     def forget(self) -> None:
         """Discard the evidence."""
@@ -181,7 +182,7 @@ class CandidateSet:
     with the measured force now, as for the set in use; both are False while this is unknown.
     """
 
-    def __init__(self, parameters: ParameterSet, limit: float) -> None:
+    def __init__(self, parameters: ParameterSet, limit: ErrorLimit) -> None:
         self.parameters = parameters
         self.state: State | None = None
         """State of the law after the last sample; None before the first."""
@@ -207,7 +208,7 @@ class CandidateSet:
         before = self._tolerated
         if before is None or before[0] != current or self._now - before[1] > _REFRESHED:
             largest = self.parameters.largest_in_sine(speed, half_cycle, current)
-            self._tolerated = before = current, self._now, self._limit * largest
+            self._tolerated = before = current, self._now, self._limit.at(largest)
         return before[2]
 
     def restart(self) -> None:
@@ -270,7 +271,7 @@ class CandidateSets:
     and there is no evidence.
     """
 
-    def __init__(self, limit: float) -> None:
+    def __init__(self, limit: ErrorLimit) -> None:
         self._limit = limit
         self._given: CandidateSet | None = None
         self._widest: CandidateSet | None = None
@@ -334,7 +335,7 @@ class CandidateSets:
     ) -> None:
         """Compare the last forces with the ``measured`` force (m,) [N] of the last m samples."""
         count = measured.size
-        if self._limit == 0.0 or count == 0:
+        if self._limit.relative == 0.0 or count == 0:
             return
         moved = period, centre.usual_half_cycle, centre.reversals
         for each, force in self._forces:

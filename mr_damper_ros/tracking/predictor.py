@@ -188,7 +188,7 @@ class ForcePredictor:
         # These three restart with the first block and after a gap in the motion.
         self._motion: MotionFollower | None = None
         self._force = ForceInUse(math.inf)
-        self._monitor = ResidualMonitor(math.inf, settings.maximum_error)
+        self._monitor = ResidualMonitor(math.inf, settings.error_limit)
         self._zero = LoadCellZero()
         # Number of reversals of the motion when the state of the law was initialised.
         self._begun_at = 0
@@ -259,8 +259,8 @@ class ForcePredictor:
 
     def follow_report(self, report: Report) -> None:
         """Process the identifier's report on a window."""
-        verdict, reason = report.verdict, report.reason
-        self._refused.follow(verdict, report.nrmse_before, confirms=report.confirms, reason=reason)
+        said = report.verdict, report.nrmse_before, report.reason
+        self._refused.follow(*said, confirms=report.confirms)
         if abs(report.current_lag) <= LARGEST_LAG:  # not NaN
             self._lag_ns = round(report.current_lag * NANOSECONDS)
         if report.confirms:
@@ -421,9 +421,7 @@ class ForcePredictor:
         settings = self._settings
         self._motion = MotionFollower(period, settings.bandwidth, settings.centre_memory)
         self._force = ForceInUse(period)
-        self._monitor = ResidualMonitor(
-            period, settings.maximum_error, largest_error=settings.largest_error
-        )
+        self._monitor = ResidualMonitor(period, settings.error_limit)
         self._zero.restart()
         self._unlearned = self._uncompared = None
         self._bank.forget_samples()

@@ -23,7 +23,14 @@ from mr_damper_ros.models.quantities import NOTICED, SAME_CURRENT
 from mr_damper_ros.signals.arrays import SIGMAS, Array, RollingRows, span_of, white_noise
 from mr_damper_ros.tracking.bumpless_transfer import FADE_TIME
 from mr_damper_ros.tracking.operating_point import RECENT
-from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind, Objection, middle
+from mr_damper_ros.tracking.validity import (
+    NO_DOUBT,
+    Doubt,
+    DoubtKind,
+    ErrorLimit,
+    Objection,
+    middle,
+)
 
 _SHORTEST_MEMORY = 2.0
 _LONGEST_MEMORY = 120.0
@@ -183,8 +190,10 @@ class ForceStatistics:
             bottom = min(max(bottom, -most), float(bottoms[here].min()))
         # A current that has just changed is represented by its own forces.
         own = here if here.any() else np.arange(here.size) == 0
-        spans = _span(stretches[:, counted]), _span(stretches[:, own])
-        low, high = min(span[0] for span in spans), max(span[1] for span in spans)
+        low, high = _span(stretches[:, counted])
+        if not np.array_equal(own, counted):
+            lowest, highest = _span(stretches[:, own])
+            low, high = min(low, lowest), max(high, highest)
         half, between = 0.5 * (high - low), 0.5 * (high + low)
         top = min(top, between + _PEAKED * half)
         bottom = max(bottom, between - _PEAKED * half)
@@ -322,12 +331,11 @@ class ResidualMonitor:
     def __init__(
         self,
         period: float,
-        maximum_error: float,
+        limit: ErrorLimit,
         recent: ForceStatistics | None = None,
-        largest_error: float = 0.0,
     ) -> None:
         self._period = period
-        self._limit, self._largest = maximum_error, largest_error or math.inf
+        self._limit = limit
         self.recent = ForceStatistics(period) if recent is None else recent
         self._time = _SHORTEST
         # Mean square [1] of the error over the peak.
@@ -359,20 +367,16 @@ class ResidualMonitor:
             DoubtKind.WRONG,
             f"the RMS error of the predicted force was {math.sqrt(self._square):.0%} of the peak "
             f"over the last half-cycle: the set is right again below "
-            f"{_RECOVERED * self._limit:.0%}",
+            f"{_RECOVERED * self._limit.at(self.recent.peak) / self.recent.peak:.0%}",
         )
 
     @property
     def allowed(self) -> float:
         """Largest error [N] of a valid sample; infinite if no force is measured."""
         peak = self.recent.peak
-        if self._limit == 0.0 or not peak > 0.0:
+        if self._limit.relative == 0.0 or not peak > 0.0:
             return math.inf
-        return self._allowed(self._limit_at(peak))
-
-    def _limit_at(self, peak: float) -> float:
-        """Limit [N] of the errors at a peak [N] of the measured force, without noise."""
-        return min(self._limit * peak, self._largest)
+        return self._allowed(self._limit.at(peak))
 
     def forget_error(self, known: float = math.nan) -> None:
         """Reset the root mean square error after a change of parameters.
@@ -385,7 +389,7 @@ class ResidualMonitor:
             self._square = (known / self.recent.peak) ** 2
             self.is_wrong, self._wait = False, 0.0
         elif self.is_wrong:
-            self._square = (self._limit_at(self.recent.peak) / self.recent.peak) ** 2
+            self._square = (self._limit.at(self.recent.peak) / self.recent.peak) ** 2
         self.recent.forget_predicted()
 
     def forget_moment(self) -> None:
@@ -399,7 +403,7 @@ class ResidualMonitor:
         Returns None if they could not be compared, because the statistics do not exist yet.
         """
         recent, peak = self.recent, self.recent.peak
-        if self._limit == 0.0:
+        if self._limit.relative == 0.0:
             return [_DRIVING] if recent.predicted_drives else []
         if math.isnan(peak):
             return None
@@ -412,7 +416,7 @@ class ResidualMonitor:
             finding = wrong_unit("force", "reaches only", peak, "kilonewtons")
             found.append(Objection(DoubtKind.SENSOR, finding.sentence))
         errors: list[float] = (predicted - measured).tolist()
-        limit = self._limit_at(peak)
+        limit = self._limit.at(peak)
         wrong, wild = self._wrong_samples(errors, measured.tolist())
         self._follow([*compress(errors, map(not_, wild))])
         if any(wild):
@@ -451,7 +455,7 @@ class ResidualMonitor:
         """
         before, self._error = self._error, errors[-1]
         wrong, wild = [False] * len(errors), [False] * len(errors)
-        right_up_to = self._right_up_to(self._limit_at(self.recent.peak))
+        right_up_to = self._right_up_to(self._limit.at(self.recent.peak))
         if self._wait == 0.0 and max(map(abs, errors)) <= right_up_to:
             self._wild_for = 0
             return wrong, wild
@@ -460,13 +464,13 @@ class ResidualMonitor:
             # If the force grows beyond the recent peak, the limit grows with it.
             largest = max(abs(force - centre), peak)
             size, jumps = abs(error), abs(error - before) > peak
-            before, begins = error, size > self._right_up_to(self._limit_at(largest))
+            before, begins = error, size > self._right_up_to(self._limit.at(largest))
             if begins and (jumps or 0 < self._wild_for < self._longest_wild):
                 self._wild_for += 1
                 wild[k] = True
                 continue
             self._wild_for = 0
-            stays = self._wait and size > self._allowed(_RECOVERED * self._limit_at(largest))
+            stays = self._wait and size > self._allowed(_RECOVERED * self._limit.at(largest))
             if begins or stays:
                 self._wait = min(self._wait + _WRONG_PART, self._calm)
                 wrong[k] = True
@@ -481,7 +485,7 @@ class ResidualMonitor:
         self._compared += count * self._period
         if count == 0:
             return
-        limit = self._limit_at(peak)
+        limit = self._limit.at(peak)
         most = _LARGEST_ENTRY * limit
         if max(map(abs, errors)) > most:
             errors = [min(max(error, -most), most) for error in errors]

@@ -303,7 +303,8 @@ def run(job: Job, control: Control | None = None) -> Outcome:
             if not raw.look:
                 lag = job.memory.current_lag.after(window)
                 job = replace(job, memory=replace(job.memory, current_lag=lag))
-            window = with_lag(window, job.current_lag)
+            window, known = with_lag(window, job.current_lag)
+            job = replace(job, raw=raw.part(known))
             predicted = job.running.window_force(window)
             if (stepped := _step_of_load_cell(job, window, predicted)) is not None:
                 outcome = stepped

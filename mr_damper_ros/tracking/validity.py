@@ -107,6 +107,21 @@ def judge_samples(count: int, objections: Sequence[Objection]) -> tuple[Codes, D
 
 
 @dataclass(frozen=True)
+class ErrorLimit:
+    """Largest error of a right force: relative to the size of the force, and in newtons.
+
+    With a ``relative`` limit of 0, no force is measured.
+    """
+
+    relative: float
+    absolute: float = math.inf
+
+    def at(self, size: float) -> float:
+        """Largest error [N] of a force of this size [N]."""
+        return min(self.relative * size, self.absolute)
+
+
+@dataclass(frozen=True)
 class ValiditySettings(CheckedSettings):
     """Limits of the validity of a predicted force."""
 
@@ -165,6 +180,11 @@ class ValiditySettings(CheckedSettings):
         "maximum_error to 100 to have this limit alone. 0: no such limit.",
         within=(0.0, 1e9),
     )
+
+    @property
+    def error_limit(self) -> ErrorLimit:
+        """Limit of the error of a valid force."""
+        return ErrorLimit(self.maximum_error, self.largest_error or math.inf)
 
 
 def current_allowance(current_range: tuple[float, float], margin: float) -> float:
@@ -402,9 +422,7 @@ class RefusedWindows:
             "reports on damper/fit_report"
         )
 
-    def follow(
-        self, verdict: int, nrmse_before: float, *, confirms: bool, reason: str = ""
-    ) -> None:
+    def follow(self, verdict: int, nrmse_before: float, reason: str, *, confirms: bool) -> None:
         """Process a report: its verdict and reason, and the NRMSE of the set in use.
 
         The NRMSE is NaN if it is unknown.

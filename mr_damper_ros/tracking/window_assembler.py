@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -45,6 +46,18 @@ class RawWindow:
     look: int = 0
     peak_velocity: Array | None = None
     force_after: Array | None = None
+
+    def part(self, chosen: slice) -> RawWindow:
+        """The samples of a slice without a stride."""
+        first, last, _ = chosen.indices(self.force.size)
+        if (first, last) == (0, self.force.size):
+            return self
+        channels: dict[str, Any] = {
+            name: None if (values := getattr(self, name)) is None else values[chosen]
+            for name in ("displacement", "force", "current", "peak_velocity", "force_after")
+        }
+        start_ns = self.start_ns + round(first * self.period * NANOSECONDS)
+        return replace(self, start_ns=start_ns, **channels)
 
     @property
     def end_ns(self) -> int:

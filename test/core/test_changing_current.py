@@ -20,6 +20,7 @@ from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import Verdict, judge_parts
 from mr_damper_ros.tracking.operating_point import parts_by_current
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
@@ -160,6 +161,11 @@ def test_a_current_that_is_stamped_late_is_shifted_before_the_window_is_fitted()
     assert late is not None
     assert right is not None
     assert late.current_lag == pytest.approx(-0.03, abs=3e-3)
+    # The current of the last samples is still unknown.
+    assert (late.window_start_ns, late.stamp_ns) == (
+        right.window_start_ns,
+        right.stamp_ns + round(late.current_lag * NANOSECONDS),
+    )
     assert "before the stamped current" in late.late_current
     assert not right.late_current
 

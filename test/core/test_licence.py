@@ -22,7 +22,7 @@ from mr_damper_ros.control.licence import (
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.tracking.candidate_sets import CandidateSet
-from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
+from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind, ErrorLimit
 
 STEP = 0.01
 LIMIT = 0.2
@@ -36,9 +36,9 @@ FORCE = 1000.0
 """Force [N] of the damper in these tests, at all currents."""
 
 
-def candidate(parameters: ParameterSet = WIDE) -> CandidateSet:
+def candidate(parameters: ParameterSet = WIDE, largest_error: float = math.inf) -> CandidateSet:
     """A set in a motion in which its force is some hundred newtons."""
-    made = CandidateSet(parameters, LIMIT)
+    made = CandidateSet(parameters, ErrorLimit(LIMIT, largest_error))
     still = np.zeros(1)
     motion = Motion(still, np.full(1, 0.03), still, np.full(1, 0.03), sine=None)
     made.follow(motion, still, STEP, 0.5, gradual=True)
@@ -284,3 +284,10 @@ def test_unknown_currents_are_crossed_at_the_stated_rate_and_not_without_it() ->
             current += step
         assert current == pytest.approx(min(1.0, 1.5 * rate))
         assert math.isnan(approach.target) is (rate == 0.0)
+
+
+@pytest.mark.parametrize(("largest_error", "high"), [(math.inf, 1.6), (50.0, 0.75)])
+def test_a_limit_in_newtons_limits_the_range_too(largest_error: float, high: float) -> None:
+    made = candidate(largest_error=largest_error)
+    seen(made, 0.8, 0.5 * LIMIT)
+    assert permit_of(made, LIMITS).high == pytest.approx(high)

@@ -7,15 +7,15 @@ import pytest
 
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.residual_monitor import ForceStatistics, ResidualMonitor
-from mr_damper_ros.tracking.validity import DoubtKind
+from mr_damper_ros.tracking.validity import DoubtKind, ErrorLimit
 
 PERIOD = 1e-3
 PEAK = 1000.0
 
 
-def watch_of(noise: float, largest_error: float = 0.0) -> tuple[ResidualMonitor, Array]:
+def watch_of(noise: float, largest_error: float = math.inf) -> tuple[ResidualMonitor, Array]:
     """A monitor that has followed a sine force for some time, and the next samples."""
-    watch = ResidualMonitor(PERIOD, 0.2, largest_error=largest_error)
+    watch = ResidualMonitor(PERIOD, ErrorLimit(0.2, largest_error))
     angle = 2.0 * np.pi * PERIOD * np.arange(3000)
     force = PEAK * np.sin(angle) + noise * np.random.default_rng(0).standard_normal(angle.size)
     for part in np.split(force, 300):
@@ -32,11 +32,11 @@ def test_without_noise_the_limit_is_that_of_the_error_itself(error: float, valid
     off = np.where(np.arange(force.size) == 4, error * PEAK, 0.0)
     assert any(watch.judge(force + off, force)) is not valid
     assert 0.19 * PEAK < watch.allowed < 0.21 * PEAK
-    assert ResidualMonitor(PERIOD, 0.2).allowed == math.inf, "no force was measured"
+    assert ResidualMonitor(PERIOD, ErrorLimit(0.2)).allowed == math.inf, "no force was measured"
 
 
 @pytest.mark.parametrize(
-    ("largest_error", "allowed"), [(0.0, 200.0), (50.0, 50.0), (1000.0, 200.0)]
+    ("largest_error", "allowed"), [(math.inf, 200.0), (50.0, 50.0), (1000.0, 200.0)]
 )
 def test_the_smaller_of_a_relative_and_an_absolute_limit_counts(
     largest_error: float, allowed: float

@@ -164,6 +164,7 @@ def test_other_texts_are_refused(text: str, sentence: str) -> None:
         ("seen_ns", 2**63, "is out of range"),
         ("level", 0.0, "level is not positive"),
         ("watch", DOCUMENT["watch"] | {"block": 0}, "a count is zero"),
+        ("current_lag", {"costs": {"shape": [0], "float64": ""}}, "0 lags are compared"),
         (
             "rival",
             known.controllable("bingham").to_yaml(),

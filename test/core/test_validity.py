@@ -350,7 +350,7 @@ def test_a_current_whose_stamps_jump_ahead_is_unknown_at_once(live: bool) -> Non
 def verdicts(*reports: tuple[Verdict, float]) -> DoubtKind:
     watch = RefusedWindows()
     for verdict, nrmse_before in reports:
-        watch.follow(verdict, nrmse_before, confirms=verdict is Verdict.NO_BETTER)
+        watch.follow(verdict, nrmse_before, "", confirms=verdict is Verdict.NO_BETTER)
     return DoubtKind.REFUSED if watch.sentence else DoubtKind.NONE
 
 
