@@ -367,7 +367,7 @@ class ResidualMonitor:
             DoubtKind.WRONG,
             f"the RMS error of the predicted force was {math.sqrt(self._square):.0%} of the peak "
             f"over the last half-cycle: the set is right again below "
-            f"{_RECOVERED * self._limit.at(self.recent.peak) / self.recent.peak:.0%}",
+            f"{_RECOVERED * self._limit.part_of(self.recent.peak):.0%}",
         )
 
     @property
@@ -389,7 +389,7 @@ class ResidualMonitor:
             self._square = (known / self.recent.peak) ** 2
             self.is_wrong, self._wait = False, 0.0
         elif self.is_wrong:
-            self._square = (self._limit.at(self.recent.peak) / self.recent.peak) ** 2
+            self._square = self._limit.part_of(self.recent.peak) ** 2
         self.recent.forget_predicted()
 
     def forget_moment(self) -> None:
@@ -492,7 +492,7 @@ class ResidualMonitor:
         square = (sum(map(mul, errors, errors)) / count - self._noise**2) / peak**2
         part = min(count * self._period / self._time, 1.0)
         self._square += part * (square - self._square)
-        lasting = limit / peak * (_RECOVERED if self.is_wrong else 1.0)
+        lasting = self._limit.part_of(peak) * (_RECOVERED if self.is_wrong else 1.0)
         self.is_wrong = self._square > lasting**2
 
     def _allowed(self, limit: float) -> float:

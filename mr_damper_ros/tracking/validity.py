@@ -120,6 +120,10 @@ class ErrorLimit:
         """Largest error [N] of a force of this size [N]."""
         return min(self.relative * size, self.absolute)
 
+    def part_of(self, size: float) -> float:
+        """Largest error of a force of this size [N], relative to it."""
+        return self.at(size) / size if size > 0.0 else self.relative
+
 
 @dataclass(frozen=True)
 class ValiditySettings(CheckedSettings):

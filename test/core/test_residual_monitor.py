@@ -51,6 +51,19 @@ def test_the_smaller_of_a_relative_and_an_absolute_limit_counts(
     assert [each.kind for each in found] == [DoubtKind.WRONG]
 
 
+def test_a_load_cell_that_dies_while_the_force_is_wrong_ends_nothing() -> None:
+    watch, force = watch_of(0.0, 100.0)
+    for _ in range(100):
+        watch.judge(force + PEAK, force)
+    dead = np.zeros(10)
+    for _ in range(2000):
+        watch.recent.add((dead, dead), dead, dead, 0.5, steady=False, largest=lambda: PEAK)
+    assert (watch.recent.peak, watch.is_wrong) == (0.0, True)
+    assert "right again below 18%" in watch.doubt.sentence
+    watch.forget_error()
+    assert watch.is_wrong
+
+
 def test_much_noise_alone_is_no_wrong_force() -> None:
     noise = 0.04 * PEAK
     watch, force = watch_of(noise)

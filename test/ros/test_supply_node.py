@@ -132,7 +132,8 @@ def test_the_second_commander_is_refused_and_told_until_the_first_is_silent(
 def test_stamps_of_another_clock_are_named(supply: Any, listener: Listener) -> None:
     commander = Commander(listener)
     for age, part in ((0.5, "s behind, more than"), (-0.5, "s ahead, more than")):
-        commander.send(1.0, age)
+        # Repeated, because the supply may not have discovered the commander yet.
+        commander.age, commander.current = age, 1.0
         listener.wait_for_finding("supply: current", part)
     commander.age, commander.current = 0.15, 0.2
     listener.wait_for_finding("supply: current", "so they end early: the clocks differ")
